@@ -1,4 +1,4 @@
-"""PPO of RLlib with several env runners, on this machine or on the Ray cluster that RAY_ADDRESS names.
+"""PPO of RLlib with several env runners, on this machine or on the Ray cluster of RAY_ADDRESS.
 
 python examples/rllib_workers.py --runners 2 --iterations 10
 """

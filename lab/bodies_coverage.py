@@ -150,7 +150,7 @@ def _compare(numbers: Numbers, known: Sequence[Numbers]) -> list[Outside]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Prints what of each robot lies outside 200 wide bodies of its class: names or paths of configs."""
+    """Prints the numbers of robots, by name or path, that lie outside 200 wide bodies."""
     for name, numbers in outside(arguments).items():
         print(f"{name}: {len(numbers)} numbers outside")
         for number in numbers:

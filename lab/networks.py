@@ -20,7 +20,7 @@ SAMPLES = 98_304
 
 
 def seconds(network: torch.nn.Module, observations: torch.Tensor) -> tuple[float, float]:
-    """Time of a forward pass, and of a forward and a backward pass: each the shortest of `REPEATS`."""
+    """Shortest of `REPEATS` times of a forward pass, and of a forward and a backward pass."""
     cuda = observations.is_cuda
     times = []
     for _ in range(REPEATS):
@@ -40,7 +40,10 @@ def seconds(network: torch.nn.Module, observations: torch.Tensor) -> tuple[float
 
 
 def main(configs: Sequence[str]) -> None:
-    """Prints a table of the configs' actors, each on its own task: on a GPU if there is one, else on one CPU core."""
+    """Prints a table of the configs' actors, each on its own task.
+
+    On a GPU if there is one, else on one CPU core.
+    """
     torch.set_num_threads(1)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     where = torch.cuda.get_device_name() if device == "cuda" else "one CPU core"

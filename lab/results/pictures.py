@@ -18,7 +18,7 @@ _COLUMNS = 4
 
 
 def draw(results: Results, folder: Path) -> list[Path]:
-    """Draws each of `CURVES` that any run has, and each group's evaluations over a grid or over tiles.
+    """Draws each of `CURVES` that a run has, and the evaluations over a grid or over tiles.
 
     Returns:
         The files.

@@ -70,7 +70,10 @@ class Run:
 
     @property
     def iterations(self) -> float:
-        """How many it was trained for: by its curves, else by the checkpoint that was evaluated; NaN without either."""
+        """Iterations that it was trained for; NaN if unknown.
+
+        Read from its curves, else from the evaluated checkpoint.
+        """
         ends = [float(curve.iterations[-1]) for curve in self.curves.values()]
         ends = ends or [float(e.checkpoint["iteration"]) for e in self.evaluations.values() if e.checkpoint]
         return max(ends, default=float("nan"))
@@ -213,7 +216,7 @@ def final(curve: Curve) -> float:
 
 
 def mean_curve(curves: Sequence[Curve], scales: Sequence[float]) -> tuple[Array, Array, Array, Array]:
-    """Several curves on one axis, as far as the shortest goes: places, mean, lowest and highest value.
+    """Curves on one axis, up to the shortest one's end: places, mean, lowest and highest value.
 
     Args:
         curves: of one tag.

@@ -184,7 +184,7 @@ def _origins(found: Sequence[tuple[str, Measured | None]]) -> str:
 
 
 def _found(results: Results, condition: Condition, seen: bool) -> dict[str, dict[str, list[RobotResult]]]:
-    """By group and robot, of robots that the policy was trained on, or of those that it never saw."""
+    """Figures by group and robot, of robots in the training, or of robots it never saw."""
     found: dict[str, dict[str, list[RobotResult]]] = {}
     for run in results.runs:
         for evaluation in run.evaluations.values():

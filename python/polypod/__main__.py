@@ -11,7 +11,7 @@ _SPIN_COUNT = "1000"
 
 
 def spin_briefly(environ: MutableMapping[str, str]) -> None:
-    """Has torch's idle threads leave the cores to others, unless the user has said how they are to wait.
+    """Has torch's idle threads leave the cores to others, unless the user has set how they wait.
 
     By default they spin for milliseconds. Simulator and learner take turns on the same cores, and where other programs
     compute too, threads that spin keep the one they wait for from its core.
@@ -21,7 +21,10 @@ def spin_briefly(environ: MutableMapping[str, str]) -> None:
 
 
 def main() -> int:
-    """Runs the command line and returns its exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C."""
+    """Runs the command line.
+
+    Returns its exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
+    """
     try:
         interrupts.watch()
         spin_briefly(os.environ)  # libgomp reads it when torch is imported

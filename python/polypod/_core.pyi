@@ -145,7 +145,7 @@ class Learner:
         """
 
     def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
-        """Simulates the steps of an iteration with the policy, noise added, and estimates the advantages.
+        """Simulates an iteration's steps with the policy and noise, and estimates the advantages.
 
         The interpreter's lock is free meanwhile.
 
@@ -235,7 +235,9 @@ class Learner:
         """Takes over what `normalizer` gives. Raises ConfigError for other sizes and numbers that it never gives."""
 
     def reward_scale(self) -> tuple[npt.NDArray[np.float32], list[npt.NDArray[np.float64]]] | None:
-        """Returns the discounted returns [num_envs], and count, mean and variance [robots] of each robot's returns.
+        """Returns the discounted returns, and each robot's statistics of them.
+
+        Returns [num_envs], and count, mean and variance [robots].
 
         None where rewards are not scaled.
         """
@@ -250,7 +252,7 @@ class Learner:
         """Takes over what `reward_scale` gives. Raises ConfigError as `set_normalizer`."""
 
     def episodes(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Returns the sums of the rewards and the control steps of the present episodes, [num_envs] each."""
+        """Returns the reward sums and control steps of the present episodes, [num_envs] each."""
 
     def set_episodes(self, rewards: npt.NDArray[np.float32], lengths: npt.NDArray[np.float32]) -> None:
         """Takes over what `episodes` gives. Raises ConfigError as `set_normalizer`."""
@@ -380,28 +382,32 @@ class VecSim:
         """
 
     def observation_mirror(self, robot: str, group: str = "policy") -> list[tuple[int, float]]:
-        """Mirror image of an observation group, left and right exchanged: (index, sign) of each of its numbers.
+        """Mirror image of an observation group, left and right exchanged: (index, sign) per number.
 
         Raises:
             UnknownNameError: for a robot that the run does not have, and for a group that the task does not have.
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
-        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers; what it lacks stays.
+        """Mirror image of an action: (column, sign) of each of its [num_actions] numbers.
+
+        Columns that it lacks stay.
 
         Raises:
             UnknownNameError: for a robot that the run does not have.
         """
 
     def observation_mask(self, robot: str, group: str = "policy") -> list[bool]:
-        """[size of the group], True where the robot has the number; those of joints that it lacks are 0.
+        """[size of the group], whether the robot has each number.
+
+        Numbers of joints that it lacks are 0.
 
         Raises:
             UnknownNameError: for a robot that the run does not have, or an unknown observation group.
         """
 
     def observation_shares(self, group: str = "policy") -> list[float]:
-        """[size of the group], the share of envs whose robot has the number, those of other workers included.
+        """[size of the group], share of the envs, of all workers, whose robot has each number.
 
         Raises:
             UnknownNameError: for an unknown observation group.
@@ -411,10 +417,15 @@ class VecSim:
         """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
-        """Per slot of the robot, in order: the name of its joint and its index in the robot's own joint order."""
+        """Name and index of each slot's joint, in the order of the robot's slots.
+
+        The index counts in the robot's own joint order.
+        """
 
     def robot_info(self) -> str:
-        """JSON: per robot its mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
+        """JSON of numbers per robot.
+
+        Mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
 
         A limit that a joint lacks is null in `lower`, `upper` and `effort_limit`.
         `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
@@ -422,7 +433,7 @@ class VecSim:
         """
 
     def command_ranges(self) -> dict[str, dict[str, list[float]]]:
-        """Per robot the ranges that its commands are drawn from: the task's, within the robot's own limits.
+        """Command ranges per robot: the task's, within the robot's own limits.
 
         {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
         and yaw rate, rad/s, base frame.
@@ -435,7 +446,7 @@ class VecSim:
         velocity: npt.NDArray[np.float32],
         memory: npt.NDArray[np.float32] | None = None,
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Torques of the robot's actuator networks in one physics step, and what the networks remember after it.
+        """Steps the robot's actuator networks once: torques, and the networks' new memory.
 
         Args:
             robot: its name.
@@ -453,14 +464,16 @@ class VecSim:
         """
 
     def robot_shapes(self) -> str:
-        """JSON: per robot its links, the base's centre of mass (m) and its contact bodies with their shapes.
+        """JSON per robot: links, the base's centre of mass (m), contact bodies with their shapes.
 
         {robot: {links, base_com, bodies: [{name, link, group, shapes: [{shape, ..., position, quaternion}]}]}}: sizes
         in m; `link` is an index into `links`, and a shape's pose is in that link's frame.
         """
 
     def qpos(self, robot: str) -> npt.NDArray[np.float64]:
-        """[n, 7 + joints], the present positions of the n envs of `env_ids(robot)`, as in `Simulation.qpos`. A copy.
+        """[n, 7 + joints], positions of the n envs of `env_ids(robot)`, as `Simulation.qpos`.
+
+        A copy.
 
         The base's position is relative to the env's origin; joints are in the robot's own order.
         """
@@ -469,7 +482,10 @@ class VecSim:
         """[n, 6 + joints], their velocities, as in `Simulation.qvel`. A copy."""
 
     def link_pose(self, robot: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Positions [n, links, 3], m, and quaternions [n, links, 4] (w, x, y, z) of the links' URDF frames. Copies."""
+        """Positions and quaternions (w, x, y, z) of the links' URDF frames.
+
+        Returns copies: [n, links, 3], m, and [n, links, 4].
+        """
 
     def link_names(self, robot: str) -> list[str]:
         """Links of a robot in the order of `link_pose`, as in the URDF.
@@ -478,7 +494,10 @@ class VecSim:
         """
 
     def contact_body_names(self, robot: str) -> list[str]:
-        """Contact bodies of a robot in the order of `contact_forces`: links of the URDF, those fixed to others too."""
+        """Contact bodies of a robot in the order of `contact_forces`.
+
+        They are links of the URDF, also those fixed to others.
+        """
 
     def contact_forces(self, robot: str) -> npt.NDArray[np.float64]:
         """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes. A copy."""
@@ -513,7 +532,7 @@ class VecSim:
         """[num_envs, num_obs]. Two buffers alternate: this one stays as it is until the step after the next one."""
 
     def observation_of(self, group: str) -> npt.NDArray[np.float32]:
-        """[num_envs, n], an observation group, a view that stays as it is as long as `observation` does.
+        """[num_envs, n], an observation group: a view as stable as `observation`.
 
         Raises:
             UnknownNameError: for a group that the task does not have.
@@ -533,14 +552,17 @@ class VecSim:
 
     @property
     def final_obs(self) -> npt.NDArray[np.float32]:
-        """[num_envs, num_obs], the last observation of the episodes that ended in this step: rows of `final_mask`."""
+        """[num_envs, num_obs], last observations of the episodes that ended in this step.
+
+        Valid in the rows of `final_mask`.
+        """
 
     def final_obs_of(self, group: str) -> npt.NDArray[np.float32]:
         """[num_envs, n], as `final_obs`, of an observation group. Raises UnknownNameError."""
 
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
-        """[num_envs], the envs whose episode ended in the last step and that have been reset in it."""
+        """[num_envs], envs whose episode ended in the last step and that were reset in it."""
 
     def state(self, field: str) -> npt.NDArray[np.float32]:
         """One quantity of every robot, float32 [num_envs, n], gathered now: a copy, yours to keep.
@@ -562,14 +584,19 @@ class VecSim:
         """
 
     def env_origins(self) -> npt.NDArray[np.float64]:
-        """[num_envs, 3], the envs' origins in the world, m: zeros where each env has separate ground. A copy.
+        """[num_envs, 3], origins of the envs in the world, m; a copy.
+
+        Zeros where each env has separate ground.
 
         Their x and y are what positions of `qpos` and `link_pose` are relative to; z is the height of the ground there
         (those positions count from the world's zero). A reset may move an env to another tile.
         """
 
     def terrain(self) -> TerrainEntry | None:
-        """The ground, as `_core.terrain` gives it for the sim's task and overrides; None for a plane."""
+        """The ground of the sim's task and overrides, as `_core.terrain` gives it, or None.
+
+        None stands for a plane.
+        """
 
     def terrain_tiles(self) -> tuple[npt.NDArray[np.int64], list[str]]:
         """Level and type of the tile of each env, [num_envs].
@@ -609,13 +636,17 @@ class VecSim:
         """Names of the reward terms of the robot's set, in order. Raises UnknownNameError."""
 
     def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
-        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`, summed over the episode so far. A copy.
+        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`.
+
+        Sums over the episode so far; a copy.
 
         The change of their sum in a step is `reward`. Raises UnknownNameError.
         """
 
     def height_scan(self) -> npt.NDArray[np.float32]:
-        """[num_envs, rays, 3], where the rays of the height scanners hit the ground, in the world, m. A copy.
+        """[num_envs, rays, 3], points on the ground that the height scanners' rays hit, world, m.
+
+        A copy.
 
         There are no rays where the task has no height scanner.
         """
@@ -634,7 +665,7 @@ class VecSim:
         """
 
     def take_logs(self) -> bytes:
-        """Takes what `log` and `episode_stats` are made of, for `add_logs` of another share's simulation."""
+        """Takes the data of `log` and `episode_stats`, for `add_logs` of another share."""
 
     def add_logs(self, data: bytes) -> None:
         """Adds what `take_logs` gave: `log` and `episode_stats` are of the episodes of both.
@@ -643,7 +674,9 @@ class VecSim:
         """
 
     def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
-        """From now on dumps the first state of each robot that breaks to a file in this directory, or with None none.
+        """Sets the directory of dumps: one file for the first broken state of each robot.
+
+        None switches dumps off.
 
         A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`. A robot of which a
         state was dumped before is left out. A dump that cannot be written stops nothing.
@@ -662,7 +695,7 @@ class VecSim:
         """
 
 class Simulation:
-    """Physics without a task: robots of one kind, any tree of links that a URDF describes, one per env.
+    """Physics without a task: robots of one kind, any tree of links of a URDF, one per env.
 
     Generalised positions `qpos` are the base's position in the world (3, m), its quaternion (w, x, y, z) and the
     joints' positions (rad or m) in the order of `joint_names`; velocities `qvel` are the linear velocity of the base's
@@ -818,7 +851,7 @@ class Simulation:
 
     @property
     def contact_forces(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_links, 3], net contact force on each link in the last physics step, N, world axes."""
+        """[num_envs, num_links, 3], net contact force on each link in the last step, world, N."""
 
     @property
     def joint_torque(self) -> npt.NDArray[np.float64]:
@@ -826,7 +859,7 @@ class Simulation:
 
     @property
     def link_drift(self) -> npt.NDArray[np.float64]:
-        """[num_envs], how far the origin of any link is from where base pose and joint positions put it, at most, m.
+        """[num_envs], largest distance of a link's origin from its forward kinematics, m.
 
         Only under the engine "avian" do joints come apart; elsewhere it is zero.
         """
@@ -878,14 +911,19 @@ class Simulation:
         """
 
     def link_pose(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Positions [num_envs, num_links, 3], m, and quaternions [num_envs, num_links, 4] of the links' URDF frames.
+        """Positions and quaternions of the links' URDF frames.
+
+        Returns [num_envs, num_links, 3], m, and [num_envs, num_links, 4].
 
         In the world; quaternions are (w, x, y, z) with w >= 0. This and the following are computed in double precision
         from the present state.
         """
 
     def link_velocity(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Velocities of the links' origins, m/s, and angular ones, rad/s: [num_envs, num_links, 3], world axes."""
+        """Linear velocities of the links' origins, m/s, and angular velocities, rad/s.
+
+        Both [num_envs, num_links, 3], world axes.
+        """
 
     def mass_matrix(self) -> npt.NDArray[np.float64]:
         """[num_envs, nv, nv], armature included."""
@@ -907,7 +945,9 @@ class Simulation:
         """
 
     def jacobian(self, link: str | int, point: Sequence[float] = (0.0, 0.0, 0.0)) -> npt.NDArray[np.float64]:
-        """[num_envs, 6, nv], linear velocity of the point, then angular velocity of the link, both in world axes.
+        """[num_envs, 6, nv], Jacobian of the point's linear and the link's angular velocity.
+
+        Both in world axes.
 
         Args:
             link: name or index.
@@ -921,13 +961,19 @@ class Simulation:
         """
 
     def energy(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Kinetic energy, armature included, and potential energy, zero at the world's origin: [num_envs], J."""
+        """Kinetic energy, armature included, and potential energy: [num_envs], J.
+
+        The potential energy is zero at the world's origin.
+        """
 
     def center_of_mass(self) -> npt.NDArray[np.float64]:
         """[num_envs, 3], in the world, m."""
 
     def momentum(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Linear, kg m/s, and angular about the centre of mass, kg m^2/s: [num_envs, 3], world axes, without rotors."""
+        """Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s.
+
+        Both [num_envs, 3], world axes, without rotors.
+        """
 
     def set_mass(self, link: str | int, mass: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
         """Sets a link's mass, kg: a number or [n].
@@ -973,10 +1019,10 @@ class Simulation:
         """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""
 
 def tasks() -> list[TaskEntry]:
-    """The tasks of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
+    """Tasks of `POLYPOD_PATH` and bundled ones, without those of `broken_configs`."""
 
 def robots() -> list[RobotEntry]:
-    """The robots of `POLYPOD_PATH` and those that ship with polypod, but for those of `broken_configs`."""
+    """Robots of `POLYPOD_PATH` and bundled ones, without those of `broken_configs`."""
 
 def broken_configs() -> list[str]:
     """Errors of configs that cannot be read, and that `tasks` and `robots` leave out.
@@ -985,7 +1031,9 @@ def broken_configs() -> list[str]:
     """
 
 def observation_specs() -> str:
-    """All observation terms that a task may name, as JSON: {name: {kind, units, description, source, ...}}.
+    """JSON of all observation terms that a task may name.
+
+    {name: {kind, units, description, source, ...}}.
 
     Keys and values are those of `VecSim.observation_terms`; what depends on a task is left out.
     """
@@ -999,7 +1047,7 @@ def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> Tr
     """
 
 def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides: Sequence[str] = ...) -> None:
-    """Reads the configs of a task and of robots, and the overrides of the task, without simulating anything.
+    """Reads the configs of a task and of robots, and the task's overrides, without a simulation.
 
     Raises:
         UnknownNameError: for a name that does not exist.
@@ -1029,7 +1077,9 @@ def training_task(task: str) -> str:
     """
 
 def disturbances(task: str, overrides: Sequence[str] = ...) -> list[str]:
-    """Keys of a task's noise, pushes and randomisation that are on, such as `events.push_robot.enabled`.
+    """Keys of a task's enabled noise, pushes and randomisation.
+
+    An example is `events.push_robot.enabled`.
 
     Each set to false, by an override, leaves a task that only draws how episodes begin and what is commanded. The list
     of a Play variant is empty.
@@ -1096,13 +1146,15 @@ def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
     """The ground of a task. Raises ConfigError where it is a plane, UnknownNameError for an unknown task."""
 
 def share_of_worker(num_envs: int, worker: int, workers: int) -> tuple[int, int]:
-    """The envs [start, end) that a worker simulates, of `num_envs`: whole blocks of 16 envs or more.
+    """The envs [start, end) of `num_envs` that a worker simulates: whole blocks of 16 or more.
 
     Raises ConfigError where there are fewer blocks than workers.
     """
 
 def join_snapshots(parts: Sequence[bytes]) -> bytes:
-    """The snapshot of the shares that `parts` are of, in order: byte for byte that of one simulation of all of them.
+    """Joins the snapshots of shares, in order.
+
+    The result equals the snapshot of one simulation of all of them, byte for byte.
 
     Raises ConfigError for bytes that are none, and for shares that do not follow one another.
     """

@@ -202,7 +202,10 @@ def _robot_name(given: Path) -> str:
 
 
 def _fitting_policy(robot: str) -> Path:
-    """The bundled policy to begin with: by the number of legs, and by whether it has a column for every joint."""
+    """The bundled policy to begin with.
+
+    Chosen by the number of legs, and by whether it has a column for every joint.
+    """
     sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
     (info,) = json.loads(sim.robot_info()).values()
     if len(info["legs"]) != 4:
@@ -215,7 +218,7 @@ def _fitting_policy(robot: str) -> Path:
 def _changes(
     manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
 ) -> list[str]:
-    """`key=value` pairs of the task: those of the policy, the reward set for a robot that the task does not know."""
+    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task."""
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
     if robot.endswith(".toml") and nearest:

@@ -1,4 +1,6 @@
-"""Bodies that nobody built: quadrupeds, bipeds, humanoids and hexapods of drawn lengths, as a library of robots.
+"""Randomly generated robots, as a library.
+
+Quadrupeds, bipeds, humanoids and hexapods of drawn lengths.
 
 Lengths, densities, stances and drives are drawn, and the rest follows from them. A body's mass grows with the cube of
 its leg's length, and a link's share with the link's length. Gains, efforts and speeds are shares of weight and leg
@@ -146,7 +148,7 @@ def generate(
     *,
     wide: bool = False,
 ) -> list[Body]:
-    """Writes a library of bodies: a folder to be named in `POLYPOD_PATH`, with tasks of all of them.
+    """Writes a library of bodies for `POLYPOD_PATH`: a folder with tasks of all of them.
 
     The i-th body depends on `seed`, `kinds` and i alone, so that more bodies change none.
 
@@ -270,7 +272,7 @@ class _Choices:
 
 
 def _choices(rng: np.random.Generator) -> _Choices:
-    """Draws what makers choose, about as widely as robots of the library and of makers' files have it."""
+    """Samples the choices of makers, about as widely as in the library and in makers' files."""
     hangs_below = rng.random() < 0.3
     turns_freely, abducts_freely = rng.random() < 0.15, rng.random() < 0.08
     return _Choices(
@@ -564,7 +566,10 @@ def urdf(body: Body) -> str:
 
 
 def _limits(body: Body) -> dict[str, tuple[float, float]]:
-    """Effort (N m) and speed (rad/s) of each group: strong enough for gains to hold, speeds of like motion."""
+    """Effort (N m) and speed (rad/s) of each group.
+
+    Gains can hold the body, and speeds are those of like motion.
+    """
     load = body.mass * GRAVITY * body.leg_length
     speed = 20.0 * body.speed * math.sqrt(0.4 / body.leg_length)
     return {group: (drive.effort * load, speed) for group, drive in body.drives.items()}
@@ -633,7 +638,7 @@ def toml(body: Body, seed: int) -> str:
 
 
 def _commands(body: Body) -> dict[str, tuple[float, float]]:
-    """Ranges of the commands: speeds of like motion, and no side-steps for legs that cannot spread."""
+    """Command ranges: speeds of like motion, no side-steps for legs that cannot spread."""
     fast = min(1.0, math.sqrt(body.leg_length / 0.35))
     ahead, back, aside = {
         "quadruped": (fast, fast, fast),

@@ -59,7 +59,9 @@ COMMANDS: tuple[str, ...] = tuple(typing.get_args(command)[1].name for command i
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Runs one command and returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
+    """Runs one command.
+
+    Returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
     `sim2sim`, `robustness` and `deploy check` return 3 for a policy that does not hold its bounds, `adapt` and
     `train --until-walks` for one that does not walk. `train` and `adapt` return 143 after SIGTERM and 129 after SIGHUP.

@@ -157,7 +157,7 @@ class Training:
         return sorted(found, key=lambda name: found[name])
 
     def _features_of(self, body: Body) -> Array:
-        """[joints, 3 x descriptors]: numbers, logarithms, and how the numbers differ within the body."""
+        """[joints, 3 x descriptors]: numbers, logarithms, and differences within the body."""
         numbers = body.numbers.astype(np.float64)
         both = (np.concatenate([numbers, _logarithms(numbers)], axis=1) - self._mean) / self._deviation
         absolute = both[:, : numbers.shape[1]]
@@ -183,7 +183,7 @@ def _distance(mine: Array, other: Array) -> float:
 
 
 def to_manifest(bodies: Mapping[str, Body]) -> list[dict[str, Any]]:
-    """Bodies as a manifest holds them: slots, and the numbers as little-endian float32 in Base64."""
+    """Bodies as a manifest holds them: slots, and little-endian float32 numbers in Base64."""
     return [
         {
             "name": name,
@@ -217,7 +217,7 @@ def from_manifest(entries: Sequence[Mapping[str, Any]], where: str) -> dict[str,
 
 
 def training_of(manifest: Mapping[str, Any], where: str = "manifest") -> Training | None:
-    """The bodies that a policy was trained on: those of its manifest, else the robots that it names.
+    """The bodies that a policy was trained on: its manifest's, else the robots that it names.
 
     Returns:
         None where the manifest holds no bodies and its robots are not on this machine.

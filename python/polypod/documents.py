@@ -1,4 +1,4 @@
-"""Documents of which a part is written by a program, between two marks, and the tables that stand there."""
+"""Documents with a part that a program writes, between two marks, and its tables."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -28,7 +28,9 @@ _TEMPORARY = re.compile(r"\..+\.[^.]{8}\.tmp")
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """A file's bytes, of which there may be `limit`, and `ENDLESS` of a device or a pipe, which need not end.
+    """Reads at most `limit` bytes of a file.
+
+    At most `ENDLESS` of a device or a pipe, which need not end.
 
     Memory is taken for what is there, not for what may be: a regular file is read at once, anything else, or a file
     that grows meanwhile, piece by piece.
@@ -112,7 +114,9 @@ def write_bytes(path: Path, data: "bytes | memoryview") -> None:
 
 @contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
-    """A temporary folder to write into, which takes the place of `path` at the end of the block, whole or not at all.
+    """A temporary folder to write into.
+
+    It takes the place of `path` at the end of the block, whole or not at all.
 
     Files go over those of a folder that is there and not empty, each whole or not at all.
 
@@ -157,7 +161,7 @@ def _is_special(path: Path) -> bool:
 
 
 def _mode(target: Path) -> int:
-    """The permissions of a file that is there; of a new one, what the process gives to new files."""
+    """The permissions of an existing file; for a new one, the process' default."""
     try:
         return stat.S_IMODE(target.stat().st_mode)
     except FileNotFoundError:

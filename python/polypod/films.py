@@ -95,7 +95,10 @@ def _walk(options: Options) -> Iterator["Image"]:
 
 
 def _training(options: Options) -> Iterator["Image"]:
-    """The same robots from the same poses, under an untrained network and then under one checkpoint after another."""
+    """Films the same robots from the same poses under a series of checkpoints.
+
+    An untrained network comes first.
+    """
     files = _checkpoints(options.checkpoint, options.parts - 1)
     last = files[-1][1]
     player = _player(options, last)

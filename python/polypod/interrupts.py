@@ -1,4 +1,4 @@
-"""Ctrl-C in the command line: one line and the exit code 130, whatever a library makes of the exception."""
+"""Ctrl-C in the command line: one line and exit code 130, whatever a library does with it."""
 
 import signal
 import sys

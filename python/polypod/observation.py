@@ -1,4 +1,4 @@
-"""Terms of an observation as the simulator states them: nothing about a term is known by its name here.
+"""Terms of an observation as the simulator states them; no term is known by name here.
 
 A term is stated once, where it is registered in Rust (`TermSpec`). `terms_of` reads those of a simulation.
 """
@@ -71,7 +71,7 @@ class Term:
 
     @classmethod
     def read(cls, entry: Mapping[str, Any]) -> "Term":
-        """Reads an entry of `VecSim.observation_terms`, or the part of one that a manifest holds."""
+        """Reads an entry of `VecSim.observation_terms`, or the part that a manifest holds."""
         known = {field.name for field in dataclasses.fields(cls)} - {"inputs", "blocks", "treatment"}
         clip = entry.get("clip")
         return cls(
@@ -113,7 +113,10 @@ def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:
 
 
 def read_layout(layout: Layout) -> list[Term]:
-    """Terms of a layout; of those of which it tells name and size alone, this version's terms say the rest."""
+    """Terms of a layout.
+
+    This version's terms complete those of which the layout has name and size alone.
+    """
     return [
         Term.read(entry if isinstance(entry, Mapping) else {**_spec(entry[0]), "term": entry[0], "size": entry[1]})
         for entry in layout

@@ -111,7 +111,10 @@ class LoadedPolicy:
         return self.runner()(observations)
 
     def runner(self) -> NetworkPolicy:
-        """The policy as `polypod.evaluation.evaluate` runs it: a recurrent one is told when episodes end."""
+        """The policy as `polypod.evaluation.evaluate` runs it.
+
+        A recurrent one is told when episodes end.
+        """
         return NetworkPolicy(self.network, self.manifest["policy"]["num_obs"])
 
 
@@ -141,7 +144,7 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
 
 
 def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str] | None) -> dict[str, Any]:
-    """The manifest of a network of joints with the slots of these bodies, in addition to those of its training.
+    """The manifest of a network of joints with these bodies' slots added to its training's.
 
     In another task the slots are those of the bodies alone.
     """
@@ -221,7 +224,7 @@ def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path
 
 
 def _check_actions(module: torch.nn.Module, observations: torch.Tensor, num_actions: int) -> None:
-    """Raises ConfigError for a module that is no policy, or one that gives other actions each time."""
+    """Raises ConfigError for a module that is no policy, or whose actions differ each time."""
     try:
         given = module(observations)
     except Exception as error:  # from the caller's code
@@ -245,7 +248,10 @@ def _check_actions(module: torch.nn.Module, observations: torch.Tensor, num_acti
 
 
 def _traced(module: torch.nn.Module, example: torch.Tensor) -> bytes:
-    """The module as an ONNX model of any batch size. torch's newer exporter takes seconds and another package."""
+    """The module as an ONNX model of any batch size.
+
+    Uses torch's older exporter: the newer one takes seconds and another package.
+    """
     buffer: Any = io.BytesIO()
     axes = {"obs": {0: "batch"}, "actions": {0: "batch"}}
     with warnings.catch_warnings():

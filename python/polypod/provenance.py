@@ -52,7 +52,7 @@ def cpu() -> str:
 
 
 def git_state() -> GitState | None:
-    """Commit and cleanness of the source tree that polypod is imported from; None for an installed package."""
+    """Commit and cleanness of polypod's source tree; None for an installed package."""
     package = Path(_core.__file__ or __file__).parent
 
     def git(*arguments: str) -> str | None:

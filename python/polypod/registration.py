@@ -14,7 +14,9 @@ PATH = "POLYPOD_PATH"
 
 
 def register_tasks() -> None:
-    """Registers each task for `gymnasium.make_vec`, which gives the batch, and `gymnasium.make`, which gives one robot.
+    """Registers each task with Gymnasium.
+
+    `gymnasium.make_vec` gives the batch, `gymnasium.make` one robot.
 
     A broken config in `POLYPOD_PATH` is a warning here and an error when it is used; all others are registered. Where a
     folder is not there, only the built-in tasks are registered, with a warning.

@@ -1,4 +1,6 @@
-"""polypod for Ray RLlib, with its new API stack: each env runner steps its share of one batch, in one simulator.
+"""polypod for Ray RLlib, with its new API stack.
+
+Each env runner steps its share of one batch, in one simulator.
 
 >>> import polypod.rllib
 >>> from ray.rllib.algorithms.ppo import PPOConfig
@@ -30,7 +32,9 @@ VECTORIZE_MODE = "vector_entry_point"
 
 
 def make(config: Mapping[str, Any]) -> polypod.VectorEnv | Env:
-    """Builds what RLlib asks for: a batch where `config` has `num_envs`, else a single env, whose spaces it reads.
+    """Builds RLlib's env: a batch where `config` has `num_envs`.
+
+    Without it a single env, whose spaces RLlib reads.
 
     Args:
         config: `task`, and options of `polypod.make`. `num_envs` is the number of the share where there is one.

@@ -89,7 +89,9 @@ class VecEnv(rsl_rl.env.VecEnv):
         self._sim.set_episode_length(value.to(device="cpu", dtype=torch.int64).contiguous().numpy())
 
     def get_observations(self) -> TensorDict:
-        """The current observations by group, float32 [num_envs, n] each: `policy`, and those that the task adds.
+        """The current observations by group, float32 [num_envs, n] each.
+
+        Groups: `policy`, and those that the task adds.
 
         Where some robots lack some of the actions also `action_mask`, float32 [num_envs, num_actions]: 1 where an env's
         robot has a joint, else 0. The rollout stores it, and `polypod.networks.MaskedMLPModel` reads it.
@@ -180,7 +182,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         self.unwrapped.close()
 
     def _tensor(self, name: str, array: np.ndarray) -> torch.Tensor:
-        """`array` on the learner's device: a view on the CPU, else a fresh tensor filled through pinned memory.
+        """`array` on the learner's device: a view on the CPU, else a new tensor by pinned memory.
 
         The pinned buffer is free again when the next step begins, because the actions of that step came off the device
         after this copy was queued.

@@ -1,4 +1,4 @@
-"""The adapter for Stable-Baselines3: `polypod.sb3.VecEnv` is a `stable_baselines3.common.vec_env.VecEnv`.
+"""Adapter for Stable-Baselines3: `VecEnv` is a `stable_baselines3.common.vec_env.VecEnv`.
 
 >>> import polypod, polypod.sb3
 >>> from stable_baselines3 import PPO

@@ -86,7 +86,7 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
         return observations[0].copy(), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(infos)
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """A picture, uint8 [360, 640, 3], for `render_mode="rgb_array"`; None without a render mode."""
+        """A picture, uint8 [360, 640, 3], for `render_mode="rgb_array"`; None without it."""
         pictures = self.batch.render()
         return None if pictures is None else pictures[0]
 

@@ -93,7 +93,7 @@ class State:
 
     @property
     def contact_forces(self) -> FloatArray:
-        """[num_envs, 3 feet], net contact force on each foot in the last physics step, world axes, N."""
+        """[num_envs, 3 feet], net contact force on each foot in the last step, world axes, N."""
         return self._sim().state("contact_forces")
 
     @property

@@ -151,7 +151,7 @@ class CustomTerms(_VectorWrapper):
         return self.observation, infos
 
     def step(self, actions: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """Advances every env by one control step, see `VectorEnv.step` under same-step autoreset."""
+        """Advances every env by one control step, like `VectorEnv.step` in same-step autoreset."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         self.reward = self._add_rewards(rewards)
         ends = self._ended()
@@ -185,7 +185,7 @@ class CustomTerms(_VectorWrapper):
         self.observation = self._extended(self.sim.observation, self._observe_terms())
 
     def log(self) -> dict[str, float]:
-        """The task's log with that of one's own terms, over the episodes that ended since the last call.
+        """The log of the task and of the custom terms, over episodes ended since the last call.
 
         `Episode_Reward/<robot>/<term>`: mean sum of the weighted term over an episode, divided by the full episode's
         length in seconds. `Episode_Termination/<robot>/<term>`: how many episodes the term ended.
@@ -289,7 +289,7 @@ class CustomTerms(_VectorWrapper):
             raise ConfigError(f"{self._source}{what} {where}; only finite numbers that float32 holds are taken")
 
     def _rows_replaced(self, infos: dict[str, Any], others: dict[str, Any], rows: BoolArray) -> dict[str, Any]:
-        """Infos with the rows of others in those of the mask; what has no rows is that of the others."""
+        """Infos with the rows of the mask from others; entries without rows are the others'."""
         replaced = {**infos, **others}
         for key, value in others.items():
             old = infos.get(key)

@@ -58,7 +58,7 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
 
 
 def picture(ground: "_core.TerrainEntry") -> "Image.Image":
-    """A map of the heights, lit from the upper left.
+    """A map of the heights, lit from the upper left, with the types of tiles next to it.
 
     The types of tiles are written next to their columns.
     """

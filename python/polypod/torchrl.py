@@ -39,7 +39,7 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
 def creators(
     task_id: str, num_envs: int, workers: int, **options: "Unpack[EnvOptions]"
 ) -> list[Callable[[], GymWrapper]]:
-    """Makes the envs of each worker of a collector: its share of one batch, with the rows that `make` would have.
+    """Makes the envs of a collector's workers: shares of one batch, with the rows of `make`.
 
     Args:
         task_id: as of `polypod.make`.

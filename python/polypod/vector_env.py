@@ -88,7 +88,7 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
 
 
 def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOptions]") -> "VectorEnv":
-    """`make` for `gymnasium.make_vec`, which passes `num_envs=1` also when its caller names no number.
+    """`make` for `gymnasium.make_vec`, which passes `num_envs=1` when its caller gives none.
 
     One env holds one robot. Where there are more robots, 1 stands for an env of each, with a warning that says so.
     """
@@ -188,7 +188,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
     @property
     def canonical_joint_names(self) -> list[str]:
-        """Names of the action's columns, such as LF_HAA or L_HIP_YAW: a limb and what the joint does in it."""
+        """Names of the action's columns, such as LF_HAA or L_HIP_YAW: limb and role of a joint."""
         return self.sim.canonical_joint_names
 
     @property
@@ -224,7 +224,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return np.arange(*self.sim.env_ids(robot), dtype=np.int64)
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
-        """Per joint in the order of the action: the robot's own name of it and its index in the robot's own order."""
+        """Name and index of each joint, in the order of the action.
+
+        Both are the robot's own.
+        """
         return self.sim.joint_map(robot)
 
     def reset(
@@ -486,7 +489,10 @@ def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
 
 
 def _float32(actions: Any) -> FloatArray:
-    """Actions as the simulator takes them; what float32 does not hold becomes an infinity, which it refuses."""
+    """Actions as the simulator takes them.
+
+    Values beyond float32 become infinite, which the simulator refuses.
+    """
     try:
         array = np.asarray(actions)
     except RuntimeError as error:  # torch's word for a tensor that is part of a gradient
@@ -504,7 +510,10 @@ def _render_mode(mode: str | None) -> str | None:
 
 
 def _spec(task: str, num_envs: int, options: "EnvOptions") -> gymnasium.envs.registration.EnvSpec | None:
-    """Gymnasium's spec, from which `make_vec` builds the same env; None for an unregistered task, such as a path."""
+    """Gymnasium's spec, from which `make_vec` builds the same env.
+
+    None for an unregistered task, such as a path.
+    """
     known = {name: entry["name"] for entry in _core.tasks() for name in (entry["name"], *entry["aliases"])}
     registered = gymnasium.registry.get(NAMESPACE + known.get(task, task))
     if registered is None:

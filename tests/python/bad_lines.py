@@ -258,7 +258,10 @@ _VALUES = {"--grid": 3, "--command": 3, "--size": 2}
 
 
 def _completed(commands: dict[str, tuple[Line, dict[str, list[str]]]], switches: dict[str, Line]) -> Commands:
-    """With what all commands share: each flag without a value, an unknown flag, and the two spellings of help."""
+    """Lines for what all commands share.
+
+    Each flag without a value, an unknown flag, and the two spellings of help.
+    """
     return {
         command: (
             base,
@@ -289,7 +292,7 @@ def single(commands: Commands) -> list[Line]:
 
 @st.composite
 def several(draw: st.DrawFn, commands: Commands, command: str) -> Line:
-    """Lines of one command with two to four bad things, in both spellings, some of them of no list."""
+    """Lines of one command with two to four bad things, in both spellings."""
     base, flags = commands[command]
     line = base
     for flag in draw(st.lists(st.sampled_from(sorted(flags)), min_size=2, max_size=4)):

@@ -28,7 +28,7 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 
 def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginManager) -> None:
-    """Accepts the options that `pyproject.toml` passes to pytest-xdist where it is absent or switched off."""
+    """Accepts pytest-xdist's options of `pyproject.toml` where it is absent or switched off."""
     if not pluginmanager.hasplugin("xdist"):
         for option in ("--numprocesses", "--dist"):
             parser.addoption(option, help="ignored without pytest-xdist")
@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser, pluginmanager: pytest.PytestPluginMa
 
 @pytest.fixture(autouse=True)
 def same_start() -> Iterator[None]:
-    """Every test starts with the same random stream of torch, whatever ran before it in this process."""
+    """Starts every test with the same random stream of torch."""
     if torch := sys.modules.get("torch"):
         torch.manual_seed(0)
     with same_process():
@@ -45,7 +45,7 @@ def same_start() -> Iterator[None]:
 
 @contextlib.contextmanager
 def same_process() -> Iterator[None]:
-    """Takes back what a command changes in its process: environment, logging, number of torch's threads."""
+    """Restores a command's changes of its process: environment, logging, torch's threads."""
     environ, root = dict(os.environ), logging.getLogger()
     handlers, level = list(root.handlers), root.level
     try:
@@ -90,7 +90,7 @@ def actions() -> Callable[..., np.ndarray]:
 
 @pytest.fixture
 def cli(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Finished]:
-    """Runs `polypod` with the given arguments in this process, in a temporary directory or in `cwd`.
+    """Runs `polypod` with arguments in this process, in a temporary directory or in `cwd`.
 
     It saves the seconds that a new process takes to import torch. `cli_process` starts a process.
     """
@@ -123,7 +123,7 @@ def cli_process(tmp_path: Path) -> Callable[..., Finished]:
 
 @pytest.fixture(scope="session")
 def fork_server() -> Iterator[Any]:
-    """Runs `polypod` in processes of their own, each begun in milliseconds."""
+    """Runs `polypod` in separate processes, each begun in milliseconds."""
     if not hasattr(os, "fork"):
         pytest.skip("processes are not forked here")
     from fork_server import ForkServer
@@ -168,7 +168,10 @@ def trained_run(built_once: Callable[..., Path]) -> Path:
 
 @pytest.fixture(scope="session")
 def exported_policy(built_once: Callable[..., Path]) -> tuple[Path, Any]:
-    """The folder of the shipped flat policy's export, a graph per robot included, and `export_checkpoint`'s result."""
+    """The folder of the flat policy's export, and `export_checkpoint`'s result.
+
+    A graph per robot is included.
+    """
     from polypod.export import export_checkpoint
 
     def export(folder: Path) -> None:

@@ -1,4 +1,6 @@
-"""Runs `polypod`, or a function, in forks of a process that has imported all it needs, which saves seconds a run.
+"""Runs `polypod`, or a function, in forks of a process that has imported all it needs.
+
+This saves seconds a run.
 
 A hang, an abort or a `kill -9` reaches the fork alone. The process is a fresh one: a fork of the tests' own would
 inherit what earlier tests have begun in it, such as torch's autograd.
@@ -60,7 +62,7 @@ class ForkServer:
         user: int | None = None,
         call: dict[str, Any] | None = None,
     ) -> int:
-        """Starts `polypod` in `folder`, for at most so long, with at most so much memory, maybe as another user.
+        """Starts `polypod` in `folder`, with bounds of time and memory, maybe as another user.
 
         With `call`, the function that it names runs in place of `polypod`. Returns the process.
         """

@@ -1,4 +1,6 @@
-"""Prints what networks cost in the place of a DC motor's gains, in one run: the table of docs/actuator-networks.md.
+"""Prints the cost of networks in place of a DC motor's gains, measured in one run.
+
+Writes the table of docs/actuator-networks.md.
 
 OMP_NUM_THREADS=1 .venv/bin/python tests/python/measure_actuator_networks.py
 """
@@ -25,7 +27,7 @@ BEST = 10
 
 
 class Standing(torch.nn.Module):
-    """A network of the common size beside the PD law, to which it adds next to nothing."""
+    """A network of the common size in addition to the PD law, to which it adds next to nothing."""
 
     def __init__(self, network: torch.nn.Module, inputs: int) -> None:
         """Takes `inputs` numbers, position errors first."""

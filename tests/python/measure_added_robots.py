@@ -6,7 +6,7 @@
 With packages named, the tables are only printed.
 
 Only files of the packages are read; nothing of them is imported. Each robot is compared with
-MuJoCo's model of the file as its package has it, without anything left out beforehand.
+MuJoCo's model of the package's file, without anything left out beforehand.
 """
 
 import dataclasses
@@ -67,7 +67,7 @@ PARTS = re.compile(r"sensor|skybox|materials|stairs|bowl|ball|rough|slope|suspen
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """What became of one file."""
+    """Result for one file."""
 
     package: str
     file: str
@@ -79,7 +79,7 @@ class Row:
     notes: list[str]
     refused: str
     seconds: float
-    """Of computing, of all threads."""
+    """Computing time of all threads."""
 
 
 def files(packages: dict[str, str] = PACKAGES) -> Iterator[tuple[str, Path, Path]]:
@@ -112,7 +112,10 @@ def row(package: str, folder: Path, file: Path) -> Row:
 
 
 def against_the_file(config: Path, file: Path) -> dict[str, float] | None:
-    """Errors against the model of an MJCF file as it is; None where it does not compile or has no free joint."""
+    """Errors against the model of an MJCF file as it is.
+
+    None where it does not compile or has no free joint.
+    """
     try:
         model = mujoco.MjModel.from_xml_path(str(file))
     except ValueError:

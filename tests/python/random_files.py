@@ -122,7 +122,7 @@ def _numbers(draw: random.Random, text: str) -> str:
 
 
 def urdf_changed(draw: random.Random, text: str) -> bytes:
-    """A URDF with elements doubled, removed, renamed or moved, and other numbers, names and references."""
+    """A URDF with elements doubled, removed, renamed or moved, and other values."""
     root = ElementTree.fromstring(text)
     for _ in range(draw.choice((1, 1, 1, 1, 2, 4))):
         everything = list(root.iter())
@@ -572,7 +572,10 @@ def _snapshot(draw: random.Random, folder: Path) -> Case:
 
 
 def reads_snapshots(seed: int, count: int) -> int:
-    """Restores changed snapshots of both simulators and steps on; 4 if a refused one changed the simulation."""
+    """Restores changed snapshots of both simulators and steps on.
+
+    Returns 4 if a refused one changed the simulation.
+    """
     import sys
 
     import numpy as np

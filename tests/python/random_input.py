@@ -1,4 +1,4 @@
-"""Random numbers, words and tables, the command lines that are made of them, and what becomes of an accepted config.
+"""Random numbers, words, tables and command lines, and a check of accepted configs.
 
 A draw depends on `SEED` and its number alone, so that one input can be made again by itself.
 """
@@ -97,7 +97,7 @@ def generator(*place: object) -> random.Random:
 
 
 def number(draw: random.Random, near: float = 1.0) -> float:
-    """A number: one near `near` in most draws, else any of the 2000 magnitudes of a double, or an extreme."""
+    """A number: near `near` in most draws, else of any magnitude of a double, or an extreme."""
     kind = draw.random()
     if kind < 0.6:
         return near * 10.0 ** draw.gauss(0.0, 0.5) * draw.choice((1, 1, 1, -1)) if near else draw.gauss(0.0, 1.0)
@@ -249,7 +249,7 @@ def train_keys() -> dict[str, Any]:
 
 
 def override(draw: random.Random, tables: dict[str, Any]) -> str:
-    """A `KEY=VALUE` of `--set`: a key that exists in most draws, with a value of its type in most."""
+    """A `KEY=VALUE` of `--set`: in most draws an existing key with a value of its type."""
     path, value = draw.choice(list(leaves(tables)))
     kind = draw.random()
     if kind < 0.03:
@@ -395,7 +395,7 @@ _FLAG = {"--task": "task", "-t": "task", "--robots": "robots", "-r": "robots", "
 
 
 def config_of(words: Line) -> dict[str, Any] | None:
-    """Task, robots and overrides that an accepted line simulates, None where it simulates nothing."""
+    """Task, robots and overrides of an accepted line; None where it simulates nothing."""
     if not words or words[0] not in ("rollout", "eval", "play", "train"):
         return None
     found: dict[str, Any] = {"task": "velocity_flat", "robots": None, "overrides": []}
@@ -458,7 +458,10 @@ def run_program(words: Line, folder: Path, seconds: float = 60.0, memory: int = 
 
 
 def steps_a_urdf(path: str) -> int:
-    """Steps the robot of a URDF without a task: 0 if its state is finite, 2 if it is refused, 4 if it is not finite."""
+    """Steps the robot of a URDF without a task.
+
+    Returns 0 if its state is finite, 2 if it is refused, 4 if it is not finite.
+    """
     import warnings
 
     import numpy as np
@@ -480,7 +483,9 @@ def steps_a_urdf(path: str) -> int:
 
 
 def steps_finitely(task: str, robots: list[str] | None, overrides: list[str], num_envs: int = 0) -> int:
-    """Steps a config 50 times: 0 if all it shows is finite, 2 if it is refused, 4 if something is not finite.
+    """Steps a config 50 times.
+
+    Returns 0 if all it shows is finite, 2 if it is refused, 4 if not finite.
 
     Says so where every env ends in every step, which is in order. `fork_server.ForkServer.call` runs it in a process.
     """
@@ -520,7 +525,10 @@ def _steps(sim: Any, count: int) -> int:
 
 
 def reports_nan() -> int:
-    """Result of `steps_finitely` for a reward that is not finite in two of four envs from the third step on."""
+    """Result of `steps_finitely` for a reward that becomes infinite.
+
+    It does so in two of four envs, from the third step on.
+    """
     import numpy as np
 
     class Broken:

@@ -1,4 +1,4 @@
-"""A limit that a joint lacks is no number: nothing begins, is observed, acts or is deployed at one."""
+"""A limit that a joint lacks is no number: nothing starts, observes, acts or deploys at one."""
 
 import functools
 import json
@@ -22,7 +22,7 @@ QUIET = {
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
-    """Writes the robot `mine`: a Go2 with an edited URDF, and lines on top of its TOML or another one."""
+    """Writes the robot `mine`: a Go2 with an edited URDF, and lines on top of its TOML."""
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
     return functools.partial(write_go2, tmp_path)
 

@@ -1,4 +1,4 @@
-"""The two engines stand, respond and hold together equally, and `polypod accuracy` tells the truth about them."""
+"""The two engines agree on standing and responses, and `polypod accuracy` reports it."""
 
 import dataclasses
 

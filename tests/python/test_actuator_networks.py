@@ -1,4 +1,7 @@
-"""A network file drives joints as torch computes it, with the same bits everywhere, exact snapshots and resets."""
+"""A network file drives joints as torch computes it.
+
+Bits are the same everywhere, snapshots and resets exact.
+"""
 
 import contextlib
 import io
@@ -94,7 +97,7 @@ def random_actions(sim, step):
 
 
 class Seen:
-    """One robot's control steps with one physics step each: error and velocity before, torque after."""
+    """Control steps of one robot, one physics step each: error and velocity, then torque."""
 
     def __init__(self, sim, name):
         """Watches the robot of that name."""
@@ -115,7 +118,7 @@ class Seen:
 
 
 def in_torch(network, errors, velocities, settings):
-    """Torques [steps, joints], as Isaac Lab's `ActuatorNetMLP.compute` and `ActuatorNetLSTM.compute` have them."""
+    """Torques [steps, joints] of Isaac Lab's `ActuatorNetMLP` and `ActuatorNetLSTM`."""
     joints = errors.shape[1]
     torques, state = [], (torch.zeros(2, joints, 8), torch.zeros(2, joints, 8))
     ages = settings.get("input_idx", [0])
@@ -388,7 +391,7 @@ def test_the_manifest_names_the_network(robot):
 
 
 def test_torchscript_becomes_onnx_as_the_docs_say(robot, tmp_path):
-    """The networks of Isaac Lab are TorchScript files: the snippet of docs/actuator-networks.md converts one."""
+    """The snippet of docs/actuator-networks.md converts a TorchScript network of Isaac Lab."""
     text = (Path(__file__).parents[2] / "docs/actuator-networks.md").read_text()
     (snippet,) = [part.split("```")[0] for part in text.split("```python")[1:] if "torch.jit.load" in part]
     snippet = snippet.split("\n", 1)[1]

@@ -1,4 +1,4 @@
-"""`polypod adapt`: from a policy to one that walks with a robot; what it keeps, says and returns."""
+"""`polypod adapt` makes a policy walk with a robot; its memory, messages and results."""
 
 import json
 import shutil
@@ -96,7 +96,7 @@ def test_it_returns_3_with_the_best_policy_when_the_time_is_over(cli, tmp_path, 
     text = " ".join(done.stdout.split())
     assert "it does not walk after" in text
     assert f"polypod adapt unitree_go1 --checkpoint {best.relative_to(tmp_path)}" in text
-    # what it names goes on
+    # a learner that it names goes on
     measured(FIGURES)
     assert cli("adapt", "unitree_go1", "--checkpoint", str(best), *FLAGS).returncode == 0
 
@@ -159,7 +159,7 @@ def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cl
     assert all(bool(torch.isfinite(value.float()).all()) for value in weights[1].values())
     first = "mlp.0.weight"
     changed = (weights[0][first] != weights[1][first]).any(dim=0)
-    # what belongs to other bodies' joints is as it was
+    # weights of other bodies' joints are as they were
     assert 0 < int(changed.sum()) < len(changed)
     # and the run goes on
     resumed = session.Options(resume=str(run), max_iterations=1, logger="none", device="cpu", threads=1)
@@ -216,7 +216,10 @@ def test_the_settings_are_a_train_config_of_its_own():
 
 
 def test_a_critic_goes_on_for_another_body():
-    """Of ANYmal B without and with an arm: what both have keeps its weights, what is new begins with none."""
+    """The critic of ANYmal B without and with an arm.
+
+    Shared numbers keep their weights, new ones begin with zeros.
+    """
     groups = ["policy", "critic"]
     sims = [
         _core.VecSim("velocity_flat_any_legged", 1, robots=[robot], threads=1)
@@ -244,5 +247,5 @@ def test_a_critic_goes_on_for_another_body():
         return float(hidden @ state["mlp.2.weight"].T + state["mlp.2.bias"])
 
     assert value(moved, wanted) == pytest.approx(value(old, of), rel=1e-4)
-    # networks of other sizes begin anew
+    # networks of other sizes start again
     assert critic_for({**old, "mlp.2.weight": torch.zeros(1, 5)}, of, own, wanted) is None

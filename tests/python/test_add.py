@@ -1,4 +1,4 @@
-"""`polypod add`: MJCF, URDF, xacro and zip files become robots of a library, and nothing of them is executed."""
+"""`polypod add` makes robots of MJCF, URDF, xacro and zip files, and executes nothing of them."""
 
 import dataclasses
 import json
@@ -27,7 +27,10 @@ KNEE = 0.15
 
 
 def leg(name: str, x: int, y: int) -> str:
-    """A leg with a hip of two joints in one body, whose second one lies off the body's origin, and a foot."""
+    """A leg with a foot and a hip of two joints in one body.
+
+    The second joint lies off the body's origin.
+    """
     return f"""
     <frame pos="{0.25 * x} {0.1 * y} 0">
       <body name="{name}_hip">
@@ -157,7 +160,7 @@ def test_added_robots_of_three_kinds_train_in_one_batch_with_robots_of_the_libra
 
 
 def test_what_is_written_down_is_what_mujoco_compiled(tmp_path, written):
-    """Against MuJoCo's numbers for the same body and joint, and not those of the comparison that `add` makes itself."""
+    """Compares with MuJoCo's numbers for body and joint, not with the comparison of `add`."""
     made, robot = mjcf.read(written())
     model = made.model
     file = tmp_path / "robot.urdf"
@@ -179,14 +182,15 @@ def test_what_is_written_down_is_what_mujoco_compiled(tmp_path, written):
         for column, unit in zip(full, np.eye(model.nv), strict=True):
             mujoco.mj_mulM(model, data, column, unit)
         matrix = full[np.ix_(order, order)]
-        # each hip has a link of a milligram between its two joints, 5 cm from where the body has it
+        # each hip has a link of a milligram between its two joints, 5 cm from the body's place for
+        # it
         np.testing.assert_allclose(sim.mass_matrix()[0], matrix, atol=1e-8)
         np.testing.assert_allclose(sim.bias_force()[0], data.qfrc_bias[order], atol=1e-6)
         links, positions = list(sim.link_names), sim.link_pose()[0][0]
         for leg_name, _, _ in CORNERS:
             shank = positions[links.index(f"{leg_name}_shank")]
             np.testing.assert_allclose(shank, data.body(f"{leg_name}_shank").xpos, atol=1e-12)
-    # shapes: what a floor touches, the foot on a link of its own, and no more
+    # shapes: the ones that a floor touches, the foot on a separate link, and no more
     shapes = {link.name: [shape.kind for shape in link.shapes] for link in robot.links}
     assert shapes["trunk"] == ["box"]
     assert shapes["lf_shank"] == ["capsule"]

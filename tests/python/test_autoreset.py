@@ -10,7 +10,10 @@ STEPS = size(60, 600)
 
 
 def test_same_step_equals_disabled_with_masked_resets(make, actions):
-    """A twin that does not reset by itself sees the true final observations, and after a masked reset the new ones."""
+    """A twin without autoreset sees the true final observations.
+
+    After a masked reset it sees the new ones.
+    """
     env, twin = make(overrides=SHORT), make(overrides=SHORT, autoreset="disabled")
     env.reset(seed=3)
     twin.reset(seed=3)

@@ -36,7 +36,7 @@ def closure_of(sample) -> dict:
 
 @pytest.mark.parametrize("name", ["unitree_a1", "unitree_go2"])
 def test_both_simulators_tread_on_the_spot(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the settling that precedes every timing, robots of both simulators are up, on their feet.
+    """Robots of both simulators stand on their feet after the settling before a timing.
 
     With MuJoCo's standard softness of contacts, its fastest, the feet of heavy robots creep apart: they are left out.
     """
@@ -67,7 +67,10 @@ def test_both_simulators_tread_on_the_spot(name: str, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("name", ["unitree_a1", "anymal_c", "phantomx"])
 def test_rollout_and_batch_step_the_same_model_to_the_same_targets(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`batch` keeps the solver's warm start between calls and `rollout` does not, so that the last digits differ."""
+    """`batch` keeps the solver's warm start between calls and `rollout` does not.
+
+    So their last digits differ.
+    """
     monkeypatch.setattr(physics, "SETTLE", 3)
     rolled = closure_of(physics.rollout(name, 4, 2, seed=5))["state"]
     simulations = closure_of(physics.batch(name, 4, 2, seed=5))["simulations"]
@@ -75,7 +78,7 @@ def test_rollout_and_batch_step_the_same_model_to_the_same_targets(name: str, mo
     np.testing.assert_allclose(rolled[:, 0], 3 * physics.HOLD * physics.DT)
     np.testing.assert_allclose(simulations.bind("time"), 3 * physics.HOLD * physics.DT)
     np.testing.assert_allclose(rolled[:, 1 : 1 + qpos.shape[1]], qpos, atol=1e-5)
-    # the envs have targets of their own, and they move
+    # the envs have different targets, and they move
     assert np.all(np.abs(np.diff(qpos, axis=0)).max(axis=1) > 1e-3)
 
 
@@ -85,7 +88,10 @@ def test_robots_of_every_class_are_measured(name: str) -> None:
 
 
 def test_a_mujoco_without_batch_is_said_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    """MuJoCo 3.16 and older lack `mujoco.batch`: the figures are null and the table says what brings them."""
+    """MuJoCo 3.16 and older lack `mujoco.batch`.
+
+    The figures are null and the table names the remedy.
+    """
     monkeypatch.setitem(sys.modules, "mujoco.batch", None)
     options = report.Options(num_envs=16, quick=True)
     monkeypatch.setattr(

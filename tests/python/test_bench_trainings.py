@@ -1,4 +1,4 @@
-"""`polypod bench --learner`, `--walk` and `--workers` train what they say, and say what came of it."""
+"""`polypod bench --learner`, `--walk` and `--workers` train and report as they say."""
 
 import json
 

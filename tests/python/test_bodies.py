@@ -1,4 +1,7 @@
-"""`polypod bodies generate`: bodies of drawn lengths, the same ones for the same seed, that stand in one batch."""
+"""`polypod bodies generate` makes bodies that stand in one batch.
+
+The same seed gives the same bodies.
+"""
 
 import hashlib
 import json
@@ -93,7 +96,7 @@ def test_masses_follow_lengths():
 
 
 def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
-    """Two legs do not stand without a policy, as those of machines do not, and begin to fall, slowly.
+    """Two legs begin to fall slowly without a policy, as those of machines do.
 
     So do few of the others, on soft and narrow legs.
     """
@@ -203,7 +206,7 @@ def test_a_library_that_is_there_stays_whole(tmp_path, monkeypatch):
 
 
 def test_wide_quadrupeds_reach_around_the_librarys():
-    """Every number by which a policy tells the library's joints apart lies among those of 200 drawn bodies."""
+    """Numbers that tell the library's joints apart lie within those of 200 drawn bodies."""
     sim = _core.VecSim("velocity_flat_legged_play", 24, threads=1)
     info = json.loads(sim.robot_info())
     robots = [robot for robot in sim.robots if info[robot]["class"] == "quadruped"]

@@ -1,4 +1,4 @@
-"""Numbers out of bounds are `ConfigError`s which name the argument: no crash, no bare `OverflowError`."""
+"""Numbers out of bounds are `ConfigError`s that name the argument, never a crash."""
 
 import os
 import subprocess

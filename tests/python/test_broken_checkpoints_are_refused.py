@@ -1,4 +1,4 @@
-"""Checkpoints and graphs that are not what they seem are refused in one line, before anything is computed with them."""
+"""Broken checkpoints and graphs are refused in one line, before anything uses them."""
 
 import contextlib
 import io
@@ -59,7 +59,7 @@ TENSORS = {
 
 
 def broken(folder, change, name=FLAT_POLICY.name):
-    """A checkpoint beside its manifest, of which the change makes another state.
+    """A checkpoint next to its manifest, with a changed state.
 
     Its sum is left out.
     """

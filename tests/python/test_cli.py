@@ -52,7 +52,7 @@ def test_train_resume_and_eval(cli, fork_server, tmp_path):
     assert manifest["policy"]["num_obs"] == sum(entry["size"] for entry in manifest["observation_layout"])
     assert set(manifest["robot_info"]) == {"spot", "unitree_a1"}
 
-    # what a run needs to go on is in its directory: another process resumes it
+    # its directory has all that a run needs to go on: another process resumes it
     ended = fork_server.run("train", "--resume", "--max-iterations", "1", cwd=tmp_path)
     assert ended.code == 0, ended.errors
     assert "iteration 3/3" in ended.output

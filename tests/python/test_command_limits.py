@@ -124,7 +124,7 @@ def test_shares_of_envs_turn_on_the_spot_and_step_aside():
         "turning": turn & ~ahead & ~aside,
         "sideways": aside & ~ahead & ~turn,
     }
-    # those that stand are drawn apart from the others
+    # standing envs are drawn apart from the others
     moving = 1.0 - shares["standing"]
     wanted = {"standing": 0.1, "turning": 0.3 * moving, "sideways": 0.2 * moving}
     for kind, share in wanted.items():

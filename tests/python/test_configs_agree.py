@@ -10,7 +10,7 @@ from go2 import limits, without_actuator_limits, write_go2
 
 @pytest.fixture
 def mine(tmp_path, monkeypatch):
-    """Writes the robot `mine`: a Go2 with an edited URDF, and lines on top of its TOML or another one."""
+    """Writes the robot `mine`: a Go2 with an edited URDF, and lines on top of its TOML."""
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
     return functools.partial(write_go2, tmp_path)
 

@@ -1,4 +1,4 @@
-"""A robot or a task given by the path of its config trains, and evaluations find it again from anywhere."""
+"""A robot or a task given by path trains, and evaluations find it from anywhere."""
 
 import json
 from pathlib import Path

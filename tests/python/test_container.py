@@ -1,4 +1,7 @@
-"""The container file is one that a build can follow: no engine is needed to see that what it names exists."""
+"""A build can follow the container file: all that it names exists.
+
+The test needs no engine.
+"""
 
 import re
 import shlex

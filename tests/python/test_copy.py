@@ -10,7 +10,7 @@ STEPS = 50
 
 
 def test_everything_can_be_kept(make, actions):
-    """Each array of 50 steps still holds what `step` returned, with episodes that end among them."""
+    """Arrays of 50 steps keep the values that `step` returned, over ends of episodes."""
     env = make(overrides={"sim.episode_length_s": 0.4})
     kept, expected = [env.reset(seed=0)[0]], []
     expected.append(kept[0].copy())

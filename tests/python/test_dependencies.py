@@ -1,4 +1,7 @@
-"""The crates of the dependency tree keep to deny.toml, which `cargo deny` checks in full in the public workflow."""
+"""The crates of the dependency tree keep to deny.toml.
+
+`cargo deny` checks it in full in the public workflow.
+"""
 
 import collections
 import json

@@ -1,4 +1,7 @@
-"""An exported file is enough for a robot: its metadata hold the numbers, and a loop that reads nothing else walks."""
+"""An exported file is enough for a robot.
+
+Its metadata hold the numbers, and a loop that reads nothing else walks.
+"""
 
 import json
 import shutil

@@ -47,7 +47,7 @@ def targets_of(said, actions):
 
 
 def observation_of(said, measured):
-    """The observation [columns] of what a robot measures, joints in its own order and with its own signs."""
+    """The observation [columns] of a robot's measurements, in its own order and signs."""
     columns = words(said["observation_columns"])
     joints, slots = words(said["joint_names"]), words(said["action_names"])
     signs, pose = numbers(said["joint_signs"]), numbers(said["default_joint_pos"])

@@ -1,4 +1,4 @@
-"""The distance of a description: 0 for training bodies, and more for bodies that are less like them."""
+"""The distance of a description: 0 for training bodies, larger for less similar ones."""
 
 import base64
 import json
@@ -59,7 +59,10 @@ def test_the_farthest_number_is_named(training):
 
 
 def test_the_distance_by_hand():
-    """Two bodies of one joint that differ in one number: two of 57 features differ, none within the body."""
+    """Two bodies of one joint that differ in one number.
+
+    Two of 57 features differ, none within the body.
+    """
     width = len(descriptions.DESCRIPTORS)
     low, high = np.zeros((1, width), np.float32), np.zeros((1, width), np.float32)
     low[0, 9], high[0, 9] = 1.0, 3.0
@@ -124,7 +127,7 @@ def test_evaluations_tell_it_of_other_bodies_alone(cli, tmp_path):
 
 
 def test_shares_of_envs_do_not_keep_a_policy_from_other_bodies(manifest):
-    """One env of each robot is enough to describe bodies, whatever shares the training gave them."""
+    """One env of each robot is enough to describe bodies, for any shares in the training."""
     from polypod.policy import _for_bodies
 
     trained = {**manifest, "robot_sources": ["unitree_go1", "solo12"], "overrides": ["env_shares.unitree_go1=9"]}

@@ -1,4 +1,4 @@
-"""README, docs and code say the same: numbers, features, names, paths and links that stand in two places agree.
+"""README, docs and code agree on numbers, features, names, paths and links.
 
 Each rule reads the pages and returns what is wrong. `test_rules_find_what_they_are_for` gives every rule a sentence
 that it must find, so that no rule passes because it reads nothing.
@@ -41,7 +41,10 @@ def number_of(text: str) -> int:
 
 
 def flat(text: str) -> str:
-    """The text of a page in one line, without its fenced blocks: sentences go over several lines."""
+    """The text of a page in one line, without its fenced blocks.
+
+    Sentences go over several lines.
+    """
     return " ".join(re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL).split())
 
 
@@ -96,7 +99,7 @@ def library(pages: Pages) -> list[str]:
 
 
 def judged() -> list[dict[str, dict[str, str]]]:
-    """The tables of docs/results.md that say which robots walk: of each bundled policy, rows by robot."""
+    """Tables of docs/results.md that say which robots walk: per policy, rows by robot."""
     found = [rows for rows in tables(PAGES["docs/results.md"]) if "walks" in rows[0]]
     assert len(found) == len(bundled.NAMES)
     return [{row["robot"]: row for row in rows} for rows in found]
@@ -181,7 +184,10 @@ def builds(pages: Pages) -> list[str]:
 
 
 def start(pages: Pages) -> list[str]:
-    """The README's first block clones, and then needs one command to show something and one to test everything."""
+    """The README's first block clones.
+
+    Then one command shows something and one tests everything.
+    """
     block = re.search(r"^```bash$(.*?)^```$", pages["README.md"], flags=re.MULTILINE | re.DOTALL)
     lines = [line.partition("#")[0].strip() for line in block[1].strip().splitlines()] if block else []
     problems = [] if lines and lines[0].startswith("git clone ") else ["README.md does not begin with git clone"]
@@ -228,7 +234,7 @@ def polypod_opset() -> str:
 
 
 def trainings(pages: Pages) -> list[str]:
-    """The tables of train configs give the envs and iterations of the configs, and name those that there are."""
+    """The tables of train configs name all configs, with their envs and iterations."""
     problems = []
     for page in ("docs/train.md", "docs/networks.md"):
         for rows in tables(pages[page]):
@@ -289,7 +295,10 @@ def missing_items(pages: Pages) -> Iterator[tuple[str, str]]:
 
 
 def missing(pages: Pages) -> list[str]:
-    """A thing that a page calls missing is no subject of another page, unless it links there and says which part."""
+    """A thing that a page calls missing is no subject of another page.
+
+    Else the page links there and says which part.
+    """
     subjects = {}
     for page, text in PAGES.items():
         for heading in re.findall(r"^#{1,2} (.+)$", text, flags=re.MULTILINE):
@@ -325,7 +334,7 @@ def support(pages: Pages) -> list[str]:
 
 
 def extras(pages: Pages) -> list[str]:
-    """The extras of the package are those that docs/develop.md lists, and every page names only these."""
+    """The extras of the package are the list of docs/develop.md; every page names only these."""
     known = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
         "optional-dependencies"
     ].keys()
@@ -495,7 +504,10 @@ FOREIGN = {
 
 
 def commands(pages: Pages) -> list[str]:
-    """Commands and flags in the text of a page exist, as `test_docs_run.py` holds for its fenced blocks."""
+    """Commands and flags in the text of a page exist.
+
+    `test_docs_run.py` holds the same for its fenced blocks.
+    """
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     problems = []
     for page, text in pages.items():

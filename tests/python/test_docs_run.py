@@ -101,7 +101,7 @@ SECTIONS = {
 
 
 def test_every_block_is_checked_or_says_why_not():
-    """Blocks of the known languages and those that say why they are not checked are all blocks that there are."""
+    """Every block has a known language or says why it is not checked."""
     for page in PAGES:
         fences = sum(bool(FENCE.match(line)) for line in (ROOT / page).read_text(encoding="utf-8").splitlines())
         blocks = [block for block in BLOCKS if block.page == page]
@@ -128,7 +128,7 @@ def test_python_runs(first, tmp_path, monkeypatch):
         pytest.skip(f"needs {', '.join(missing)}: make test ONLY=learners")
     monkeypatch.chdir(tmp_path)
     if first.page == "docs/export.md":
-        # what the command at the head of the page leaves, for the one robot that the block uses
+        # files of the command at the head of the page, for the one robot that the block uses
         export_checkpoint(FLAT_POLICY, tmp_path / "exported", ["spot"], formats=("onnx",))
     names = {"__name__": "__main__"}
     for block in of("python"):
@@ -141,7 +141,10 @@ def test_python_runs(first, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("block", of("toml"), ids=str)
 def test_toml_is_accepted(block, tmp_path):
-    """A snippet of a task or of a train config is loaded, on top of the flat one where it does not say of which."""
+    """A snippet of a task or of a train config loads.
+
+    It goes on top of the flat one where it names none.
+    """
     tables = tomllib.loads(block.text)
     base = "" if "extends" in tables else 'extends = "{}"\n'
     file = tmp_path / "mine.toml"
@@ -269,12 +272,12 @@ def accepts(arguments: list[str]) -> bool:
     try:
         return cli.main(arguments) == 0
     except SystemExit as left:
-        return left.code == 0  # of --help
+        return left.code == 0  # exit code of --help
 
 
 def check_simulator(arguments: list[str]) -> None:
     if SIMULATOR.is_file():
-        # what stands before --help is read first, and refused where it is wrong
+        # arguments before --help are read first, and refused where they are wrong
         done = subprocess.run([SIMULATOR, *arguments, "--help"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return

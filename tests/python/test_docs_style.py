@@ -1,4 +1,4 @@
-"""The pages stay light and readable: a bound on their bytes, on the width of their lines and on the README's length."""
+"""The pages stay light: bounds on their bytes, their lines and the README's length."""
 
 import re
 import subprocess

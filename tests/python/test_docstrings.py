@@ -1,4 +1,4 @@
-"""Every public member has a docstring at run time, where `help`, IPython and the API pages read it."""
+"""Every public member has a docstring at run time, for `help`, IPython and the API pages."""
 
 import ast
 import importlib

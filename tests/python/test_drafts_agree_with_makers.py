@@ -1,4 +1,7 @@
-"""Drafts of the library's URDFs against the configs that people wrote for them, and limits that a URDF does not say."""
+"""Drafts of the library's URDFs against people's configs of them.
+
+Also limits that a URDF does not say.
+"""
 
 import json
 import re
@@ -229,7 +232,10 @@ def test_a_folded_zero_does_not_reach_the_policy(tmp_path):
 
 
 def test_scaled_descriptions_of_bodies_of_one_shape_are_equal(tmp_path):
-    """Twice as long, eight times as heavy, motors in proportion: one network sees one robot, but for its size."""
+    """Twice as long, eight times as heavy, motors in proportion.
+
+    One network sees one robot, but for its size.
+    """
     rows = []
     for factor in (1.0, 2.0):
         _, path, _ = draft_of(scaled_fox(factor), tmp_path)
@@ -277,7 +283,7 @@ def test_unknown_parameters_of_descriptions_are_refused():
 
 @pytest.mark.parametrize("below", [0.05, 0.12])
 def test_a_thigh_below_the_axis_of_abduction_bends_no_further(tmp_path, below):
-    """The height of the pose counts from the thigh, as HyQ has it."""
+    """The height of the pose counts from the thigh, as in HyQ."""
     plain, _, _ = draft_of(quadruped(), tmp_path)
     thighs = r'(<joint name="m\d2"[^>]*><origin xyz="0\.0 -?0\.07) 0\.0"'
     text, count = re.subn(thighs, rf'\1 {-below}"', quadruped())

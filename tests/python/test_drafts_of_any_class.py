@@ -1,4 +1,7 @@
-"""`polypod robot new` for bodies of every class, from the URDF alone: drafts load, and stand or say why not."""
+"""`polypod robot new` drafts bodies of every class from the URDF alone.
+
+Drafts load, and stand or say why not.
+"""
 
 import json
 from pathlib import Path
@@ -84,7 +87,7 @@ def test_soles_are_flat_and_below_the_centre_of_mass(tmp_path):
 
 
 def folded(thigh, shank, hip_axis, hip_limits):
-    """A quadruped whose feet lie at its hips while all joints are at zero: thighs and shanks point to and fro."""
+    """A quadruped whose feet lie at its hips at zero: thighs and shanks point to and fro."""
     length, effort = 0.22, 60.0
     parts = [link("trunk", 9.0, (0.5, 0.22, 0.1))]
     for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
@@ -175,7 +178,10 @@ def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
 
 
 def crooked(forward, ankle):
-    """A biped with hips about axes between x and z, knees straight at their stop, and toes ahead of the ankles."""
+    """A biped with hip axes between x and z.
+
+    Its knees are straight at their stop, its toes ahead of the ankles.
+    """
     limits = (-1.9, 1.0, 20.0, 15.0)
     parts = [link("trunk", 9.0, (0.12, 0.16, 0.24), at=(-0.03, 0.0, 0.12))]
     for name, side in (("l", 1), ("r", -1)):
@@ -249,7 +255,7 @@ def test_feet_whose_meshes_are_missing_are_boxes_of_their_inertia(tmp_path, part
 
 
 def test_what_is_above_an_ankle_is_no_foot(tmp_path):
-    """A foot without shape and with no inertia to speak of: its shank would reach the ground first."""
+    """A foot without shape and with almost no inertia: its shank reaches the ground first."""
     text = crooked(0.02, 0.79)
     for name in ("l5", "l6", "r5", "r6"):
         at = text.index(f'<link name="{name}">')

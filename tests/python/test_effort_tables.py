@@ -1,4 +1,4 @@
-"""An effort table is what it says: exact in its rows, linear in between, and never larger than its rows."""
+"""An effort table is exact in its rows, linear in between, and never larger."""
 
 from pathlib import Path
 

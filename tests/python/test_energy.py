@@ -1,4 +1,7 @@
-"""Energy is what the machine tells: counters that begin again, those for the administrator alone, samples of power."""
+"""Energy as the machine tells it.
+
+Counters that begin again or need rights, and samples of power.
+"""
 
 import time
 from types import SimpleNamespace

@@ -172,7 +172,10 @@ def sums_of(**values):
 
 
 def test_figures_of_two_episodes_by_hand():
-    """2 s at 100 W and 0.5 m/s, 2 s at 300 W and 1.5 m/s: 800 J over 4 m; 3 contacts of 0.1 m/s and one of 0.5 m/s."""
+    """800 J over 4 m; 3 contacts of 0.1 m/s and one of 0.5 m/s.
+
+    2 s at 100 W and 0.5 m/s, 2 s at 300 W and 1.5 m/s.
+    """
     sums = sums_of(power=[1e4, 3e4], speed=[50.0, 150.0], slip=[0.3, 0.5], contact=[3.0, 1.0], fell=[0.0, 1.0])
     result = robot_result(sums, 100, 0.02, 200.0, [])
     assert result.power == pytest.approx(200.0)
@@ -255,7 +258,7 @@ experiment_name = "own"
 
 @pytest.fixture
 def own_tasks(tmp_path, monkeypatch):
-    """Tasks of one's own without a Play variant: by name, and one that no library holds, by path."""
+    """Custom tasks without a Play variant, by name, and from outside any library, by path."""
     folder = tmp_path / "library" / "configs" / "tasks"
     folder.mkdir(parents=True)
     (folder / "own.toml").write_text(OWN.format(name="Own-HeteroQuadruped-v0"))
@@ -292,7 +295,7 @@ def test_what_a_training_changed_is_on_with_randomized_alone():
     assert (found.randomized, found.robots) == (False, quiet.robots)
     pushed = evaluation.evaluate(still, TASK, trained=[push], randomized=True, **arguments)
     assert pushed.robots["spot"].error_vel_xy > quiet.robots["spot"].error_vel_xy
-    # what is asked for in the evaluation itself is done, and said
+    # a change in the evaluation itself is made, and reported
     asked = evaluation.evaluate(still, TASK, overrides=[push], **arguments)
     assert (asked.randomized, asked.disturbances) == (True, ["events.push_robot.enabled"])
     assert report._conditions(asked).endswith("0.5 s, with pushes, a new command every 5 s")
@@ -349,7 +352,7 @@ def test_commands_of_the_task_are_not_judged():
 
 
 def test_pushes_come_with_randomized_unless_switched_off():
-    """A standing robot that is pushed sideways every half second is faster than one that is left alone."""
+    """Standing robots are faster when they are pushed sideways every half second."""
     pushes = ["events.push_robot.interval_range_s=[0.3, 0.5]", "events.push_robot.velocity_range=[-1.0, 1.0]"]
     speeds = []
     for changes in (pushes, [*pushes, "events.push_robot.enabled=false"]):
@@ -445,7 +448,7 @@ def test_the_command_line_writes_figures_and_a_picture(tmp_path, capsys):
     assert found.checkpoint["seed"] == run_dir.read_manifest(FLAT_POLICY)["seed"]
     assert found.checkpoint["iteration"] == int(FLAT_POLICY.stem.removeprefix("model_"))
     assert len(found.robots["spot"].commands) == 4
-    # what it says of itself measures the same again
+    # its own command line measures the same again
     again = shlex.split(evaluation.command(found))[1:]
     assert polypod.cli.main([*again, "--json", str(out)]) == 0
     assert evaluation.Evaluation.from_dict(json.loads(out.read_text())) == found

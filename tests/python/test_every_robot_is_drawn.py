@@ -1,4 +1,4 @@
-"""Every robot of the library can be drawn and filmed: whatever groups its bodies are in have a colour."""
+"""Every robot of the library can be drawn: all groups of its bodies have a colour."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Exported graphs compute what the checkpoint does, from a robot's own sensors to its own joints."""
+"""Exported graphs compute what the checkpoint does, from a robot's sensors to its joints."""
 
 import dataclasses
 import hashlib
@@ -62,7 +62,10 @@ def test_the_network_acts_as_torch_does(exported_policy, trained):
 
 
 def test_the_rust_test_expects_these_actions(trained):
-    """`tests/policies_run_without_python.rs` compares tract with them; POLYPOD_WRITE_EXPECTED=1 rewrites them."""
+    """Expected outputs; POLYPOD_WRITE_EXPECTED=1 rewrites them.
+
+    `tests/policies_run_without_python.rs` compares tract with them.
+    """
     if os.environ.get("POLYPOD_WRITE_EXPECTED"):
         sim = polypod.VecSim(TASK, 16, seed=1, threads=1)
         for _ in range(25):
@@ -204,7 +207,7 @@ def test_a_term_of_its_own_is_an_input_of_its_own():
 
 
 def test_a_new_term_of_a_known_source_needs_no_python():
-    """Absolute joint positions and the angular velocity once more, under names that nothing in Python knows."""
+    """Absolute joint positions and the angular velocity, under names new to Python."""
     state, manifest = run_dir.load_checkpoint(FLAT_POLICY), run_dir.read_manifest(FLAT_POLICY)
     robot = interfaces(manifest, ["spot"])["spot"]
     own = (
@@ -272,7 +275,7 @@ def test_every_source_has_a_formula():
     ],
 )
 def test_a_graph_folded_on_rough_ground_takes_heights(overrides):
-    """The graph processes terms as the task does: the simulator's own observation is the reference."""
+    """The graph processes terms like the task: the simulator's observation is the reference."""
     state, manifest = run_dir.load_checkpoint(ROUGH_POLICY), run_dir.read_manifest(ROUGH_POLICY)
     manifest = {**manifest, "overrides": [*manifest["overrides"], *PLAY_TERRAIN, *overrides]}
     robot = interfaces(manifest, ["unitree_b2"])["unitree_b2"]

@@ -1,4 +1,4 @@
-"""An export leaves the module as it was, also where it fails: modes, buffers, random numbers, threads."""
+"""An export, even a failed one, leaves the module and the process as they were."""
 
 import pytest
 import torch
@@ -67,7 +67,10 @@ def test_torchscript():
 
 
 def test_a_module_that_counts_and_draws():
-    """Changes by the module's own code while it is lent: buffers in place, replaced buffers, random numbers."""
+    """Changes by the module's own code while it is lent.
+
+    Buffers in place, replaced buffers, random numbers.
+    """
 
     class Counting(torch.nn.Module):
         def __init__(self):

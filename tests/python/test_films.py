@@ -1,4 +1,4 @@
-"""Films tell a walk, a training, a push, and polypod beside MuJoCo."""
+"""Films show a walk, a training, a push, and a comparison with MuJoCo."""
 
 import dataclasses
 import shutil

@@ -1,4 +1,4 @@
-"""Contacts stick inside the cone of friction and slide on it: a block against the formulas and MuJoCo."""
+"""Contacts stick inside the friction cone and slide on it, as in formulas and MuJoCo."""
 
 import math
 

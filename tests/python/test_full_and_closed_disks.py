@@ -1,4 +1,7 @@
-"""A training goes on while the disk is full and writes its curves later; who may not read a run is told so."""
+"""A training survives a full disk and writes its curves later.
+
+A user who may not read a run is told so.
+"""
 
 import contextlib
 import errno

@@ -1,4 +1,7 @@
-"""The native learner's update on a GPU computes what its update on the CPU computes, with the same checkpoints."""
+"""The native learner's update on a GPU equals its update on the CPU.
+
+Checkpoints are the same.
+"""
 
 import subprocess
 import sys
@@ -74,7 +77,10 @@ def test_updates_are_equal(variant, device, tmp_path):
 
 
 def same_roots(found, expected):
-    """Square roots of the same numbers: torch leaves them to libraries that miss the last bit on some processors."""
+    """Square roots of the same numbers.
+
+    torch leaves them to libraries that miss the last bit on some processors.
+    """
     return torch.allclose(found.cpu().ravel(), expected.ravel(), rtol=torch.finfo(torch.float32).eps, atol=0.0)
 
 

@@ -1,4 +1,4 @@
-"""The learner whose rollouts and updates are CUDA graphs computes what rsl_rl computes, for any network."""
+"""The learner of CUDA graphs computes what rsl_rl computes, for any network."""
 
 import pytest
 import torch
@@ -72,7 +72,7 @@ def runner(kind, variant, folder, device="cpu", **run):
 
 
 def store(reference, rollout, last):
-    """Puts the samples of a rollout into rsl_rl's storage as its own loop would, and estimates advantages."""
+    """Puts a rollout's samples into rsl_rl's storage as rsl_rl does; estimates advantages."""
     alg = reference.alg
 
     def rows(tensor, step):

@@ -1,4 +1,4 @@
-"""Gymnasium's habits: single envs, checkers, wrappers, pictures, specs, attributes, any type of action."""
+"""Gymnasium's single envs, checkers, wrappers, pictures, specs, attributes and actions."""
 
 import gymnasium
 import numpy as np

@@ -29,7 +29,7 @@ COMMANDS = {
     "resume": ("train", "--logger", "none", "--max-iterations", "1", "--resume"),
     "init": (*TRAIN, "--init"),
 }
-"""Commands of `polypod` that read a checkpoint and the manifest beside it."""
+"""Commands of `polypod` that read a checkpoint and its manifest."""
 
 
 def files(folder, pattern="*"):

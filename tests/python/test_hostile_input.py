@@ -1,4 +1,4 @@
-"""No command line, however bad, ends in a traceback, a panic or a hang. Who is refused is told why."""
+"""No command line ends in a traceback, a panic or a hang; refusals say why."""
 
 import os
 import random

@@ -39,7 +39,7 @@ def numbers(value, path=()):
 
 
 def with_events(task, overrides):
-    """The overrides, and all events of the task switched on: the numbers of one that is off are not read."""
+    """The overrides with all events of the task on: numbers of disabled ones are not read."""
     events = tomllib.loads(polypod.make(task, overrides=overrides).sim.resolved_config())["task"]["events"]
     return [*overrides, *(f"events.{name}.enabled=true" for name in events)]
 

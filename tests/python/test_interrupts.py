@@ -1,4 +1,4 @@
-"""Ctrl-C is a KeyboardInterrupt wherever it comes, and ends a command with one line and exit code 130."""
+"""Ctrl-C is a KeyboardInterrupt everywhere, and ends a command with exit code 130."""
 
 import os
 import signal
@@ -41,7 +41,10 @@ print(polypod.Simulation("spot", num_envs=2).qpos.shape)
 @pytest.mark.parametrize("delay", DELAYS)
 @pytest.mark.parametrize("call", ["make", "simulation", "terrain", "draft"])
 def test_an_interrupt_during_construction_is_no_panic(call, delay):
-    """In a fresh interpreter, where no array was made before: the crate `numpy` loads NumPy with the first one."""
+    """Runs in a fresh interpreter without arrays.
+
+    The crate `numpy` loads NumPy with the first array.
+    """
     urdf = str(ROBOT_FOLDER / "anymal_c" / "robot.urdf")
     command = [sys.executable, "-c", CONSTRUCTION, call, str(delay), urdf]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)

@@ -1,4 +1,4 @@
-"""Other learners see what `step` returned: each keeps the observations of 50 steps, and they are compared."""
+"""Other learners see what `step` returned: observations of 50 steps are compared."""
 
 import re
 import subprocess
@@ -56,7 +56,7 @@ class Record:
         np.testing.assert_array_equal(observations, self.observations[:STEPS])
 
     def last(self) -> np.ndarray:
-        """[steps, envs, n], what each step led to: of episodes that ended, their last observation."""
+        """[steps, envs, n], result of each step: the last observation where an episode ended."""
         last = np.array(self.observations[1:])
         for step, finals in enumerate(self.finals):
             for row, observation in finals.items():
@@ -259,7 +259,7 @@ def test_rsl_rl(record):
     batch = polypod.make("velocity_flat", ENVS, **OPTIONS)
     settings = config.load("flat", [f"run.num_steps_per_env={STEPS}", "algorithm.num_learning_epochs=1"])
     runner = OnPolicyRunner(VecEnv(batch), settings.rsl_rl_cfg(batch.sim), log_dir=None, device="cpu")
-    # the adapter steps the simulator itself: what it is told stands beside what rsl_rl stores
+    # the adapter steps the simulator itself: its inputs stand next to what rsl_rl stores
     told, ends = [batch.sim.observation.copy()], 0
     step = batch.sim.step
     sim = runner.env._source

@@ -1,4 +1,7 @@
-"""Installations have the packages of the lock, to the hash, and the locks of all workspaces name the same versions."""
+"""Installations have the packages of the lock, to the hash.
+
+The locks of all workspaces name the same versions.
+"""
 
 import functools
 import hashlib

@@ -1,4 +1,4 @@
-"""`make train` that is told to end saves a checkpoint, whether make alone is told or all its processes."""
+"""`make train` saves a checkpoint when make alone or all its processes are told to end."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ ARGS = "--num-envs 64 --robots spot --seed 5 --logger none --set sim.episode_len
     size([(True, "SIGTERM")], [(True, "SIGTERM"), (False, "SIGTERM"), (True, "SIGHUP"), (True, "SIGINT")]),
 )
 def test_make_train(fork_server, tmp_path, to_all, name):
-    # what is built is not built again
+    # existing builds are not built again
     command = ["make", "-o", ".venv/.extension", "train", f"ARGS={ARGS} --max-iterations 100000 --log-dir {tmp_path}"]
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("MAKE", "MFLAGS"))}
     environment |= {"UV_DEFAULT_INDEX": "none", "OMP_NUM_THREADS": "1"}

@@ -1,4 +1,4 @@
-"""A policy plays on somebody else's MuJoCo model of its robot, and what was mapped and added is said."""
+"""A policy plays on a maker's MuJoCo model, and the report says what was mapped."""
 
 import functools
 import json
@@ -243,7 +243,7 @@ def test_a_map_with_two_answers_is_refused(tmp_path):
     assert all(pair.theirs == names[pair.ours] for pair in model_of(file, "box_quadruped", given).map.pairs)
 
 
-# What is added, left out and refused
+# Additions, omissions and refusals
 
 
 BARE = """<mujoco model="bare">
@@ -454,7 +454,7 @@ def test_flags_that_do_not_go_together_get_one_line(capsys, arguments, message):
 
 
 def test_it_plays_ranks_and_writes(tmp_path, capsys, a1):
-    """One item of the model is another: it is the only difference, and the table and the file say so."""
+    """One changed item of the model is the only difference, in the table and in the file."""
     text = a1.replace('kp="', 'kp="').replace("<worldbody>", '<default><joint armature="0.02"/></default><worldbody>')
     file, figures = written(tmp_path, text, "unitree_a1.xml"), tmp_path / "figures.json"
     line = [
@@ -491,7 +491,7 @@ def test_it_plays_ranks_and_writes(tmp_path, capsys, a1):
 
 
 def test_the_battery_runs_on_a_makers_model(tmp_path, a1):
-    """Its conditions change the maker's model, whose contacts stay unless a condition is about them."""
+    """Its conditions change the maker's model; contacts stay unless they are varied."""
     file = written(tmp_path, a1.replace('type="plane"', 'type="plane" condim="6"'))
     model = in_mujoco.MakersModel(file, None, Choices("policy"))
     loaded = policy.load(FLAT_POLICY)

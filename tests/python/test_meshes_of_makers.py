@@ -1,4 +1,7 @@
-"""`--meshes` shows the makers' meshes of robot_descriptions where they fit the robot, and its own shapes elsewhere."""
+"""`--meshes` shows the makers' meshes of robot_descriptions where they fit the robot.
+
+Elsewhere it shows the robot's own shapes.
+"""
 
 import importlib
 import io
@@ -26,7 +29,7 @@ URDF_PATH = PACKAGE_PATH + "/urdf/go2_description.urdf"
 
 @pytest.fixture
 def description(tmp_path, monkeypatch):
-    """A package like robot_descriptions, with meshes in place of the shapes of a robot of the library."""
+    """A package like robot_descriptions, with meshes in place of a library robot's shapes."""
     for name in [name for name in sys.modules if name.partition(".")[0] == "robot_descriptions"]:
         monkeypatch.delitem(sys.modules, name)
     package = tmp_path / "site" / "robot_descriptions"
@@ -69,7 +72,10 @@ def models_of(player):
 
 
 def test_meshes_hang_on_their_links(description, player):
-    """Each in its link's frame, turned and scaled as its URDF says; those of a fixed link on the link that moves."""
+    """Meshes lie in their links' frames, turned and scaled as the URDF says.
+
+    A fixed link's meshes lie on the link that moves.
+    """
     models = models_of(player)
     assert set(models) == {"base", "FL_thigh", "FL_calf"}
     # a quarter turn about z exchanges length and width
@@ -97,7 +103,7 @@ def test_the_viewer_shows_them(description, player):
 
 
 def test_a_description_of_another_body_is_not_shown(description, player):
-    """One whose hip is elsewhere: the robot's own shapes are shown, and the page's owner is told why."""
+    """A robot whose hip is elsewhere gets its own shapes, and the page's owner is told why."""
     text = description.read_text()
     tree = ElementTree.fromstring(text)
     joint = next(joint for joint in tree.iter("joint") if joint.find("child").get("link") == "FL_hip")

@@ -1,4 +1,7 @@
-"""At random states every robot has MuJoCo's masses, kinematics, inertia, bias forces and accelerations."""
+"""Every robot has MuJoCo's dynamics at random states.
+
+Masses, kinematics, inertia, bias forces and accelerations.
+"""
 
 import functools
 import math
@@ -21,7 +24,7 @@ def test_f32_agrees_within_the_bound(name: str) -> None:
 
 
 def test_f64_agrees_to_rounding() -> None:
-    # what remains is no error of the formulas: inertias and poses are stated to ten digits in the URDF
+    # the rest is no error of the formulas: inertias and poses are stated to ten digits in the URDF
     assert compare_statics(load("anymal_c"), states=20, dtype="float64").worst() < 1e-9
 
 

@@ -1,4 +1,4 @@
-"""In motion every robot does what it does in MuJoCo, within the bounds that the front page shows."""
+"""Every robot moves as in MuJoCo, within the bounds that the front page shows."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,7 @@
-"""The native learner computes what rsl_rl's PPO computes: values, returns, advantages, losses, gradients, weights."""
+"""The native learner computes what rsl_rl's PPO computes.
+
+Values, returns, advantages, losses, gradients, weights.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -50,7 +53,7 @@ VARIANTS = {
     "masked_adaptive_rate": {"actor": {"init_std": 1.5}, "algorithm": {"desired_kl": 1e-4}},
     "masked_mirror_images": {"actor": {"init_std": 1.5}, "run": {"symmetry": True}},
     "masked_entropy": {"actor": {"init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
-    # networks of joints, which see the joints of a body alone and learn deviations of their own
+    # networks of joints, which see the joints of a body alone and learn one deviation per joint
     "joints": {"actor": JOINTS},
     "joints_without_statistics": {"actor": {**JOINTS, "obs_normalization": False, "joint_dim": 24, "num_heads": 5}},
     "joints_critic": {"actor": JOINTS, "critic": {**JOINTS, "activation": "tanh"}},
@@ -121,7 +124,10 @@ def of_signals(gradients):
 
 
 def store(reference, samples, last_observations):
-    """Puts the samples of the native learner into rsl_rl's storage as its own loop would, and estimates advantages."""
+    """Puts the native learner's samples into rsl_rl's storage as rsl_rl does.
+
+    Then estimates advantages.
+    """
     alg = reference.alg
     shape = {
         name: torch.from_numpy(array).view(STEPS, ENVS, -1) for name, array in samples.items() if name not in OF_BATCHES

@@ -34,9 +34,9 @@ ALONE = [
 """One step of the optimiser, with gradients as they are."""
 ITERATIONS = 24
 RELATIVE_ERROR = 1e-5
-"""Of a gradient's norm. It is a sum over 576 samples of up to 18 joints in single precision: a chain of n terms of
-either sign has an error of about sqrt(n) * 2^-24 of their root mean square, 6e-6 here. A wrong term has a far larger
-one."""
+"""Bound relative to a gradient's norm. It is a sum over 576 samples of up to 18 joints in single
+precision: a chain of n terms of either sign has an error of about sqrt(n) * 2^-24 of their root
+mean square, 6e-6 here. A wrong term has a far larger one."""
 
 
 def runner_of(folder, overrides=(), envs=48, robots=ROBOTS, of_task=()):

@@ -1,4 +1,4 @@
-"""A ninth robot: from a URDF of one's own to training with `polypod robot new`, and no source file changed."""
+"""A new robot: from a URDF to training with `polypod robot new`, without a changed source."""
 
 import math
 import os
@@ -49,7 +49,7 @@ def joint(name, parent, child, at, axis, limits=None):
 
 
 def quadruped(mass=22.0, thigh=0.26, shank=0.3, length=0.6, antenna=False, effort=60.0):
-    """A URDF with names that say nothing about corners, knees that bend to one side, and a trunk heavier in front."""
+    """A URDF with meaningless names, knees that bend to one side, and a front-heavy trunk."""
     parts = [link("trunk", 0.7 * mass, (length, 0.24, 0.14), at=(0.02, 0.0, 0.0))]
     for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
         a, b, c, foot = (f"{part}{number}" for part in ("a", "b", "c", "pad"))
@@ -162,7 +162,7 @@ def test_drafts_stand_in_a_pose_that_the_bundled_policy_knows(tmp_path):
 
 
 def test_what_lies_on_its_belly_does_not_stand(cli, tmp_path):
-    """Its trunk has no shape to touch the ground with, so that nothing ends an episode, and its motors are weak."""
+    """No trunk shape can touch the ground, so nothing ends an episode; its motors are weak."""
     text = quadruped(effort=3.0)
     begin = text.index("<collision>")
     file = tmp_path / "robot.urdf"
@@ -260,7 +260,7 @@ def test_a_leg_joint_that_mimics_is_named_where_it_is_the_cause(cli, tmp_path):
 
 
 def test_roles_may_be_named(cli, tmp_path):
-    """The remedy that errors name can be taken: legs that point upwards at zero are no legs by their geometry."""
+    """The errors' remedy works: legs that point upwards at zero are no legs by geometry."""
     text = quadruped()
     for number in range(4):
         place = text.index(f'<joint name="m{number}2"')
@@ -316,7 +316,7 @@ def test_meshes_are_summed_up(cli, tmp_path):
 
 
 def test_changes_of_robots_may_be_set(cli, fox):
-    """For robots of the library and for robots given by a path, in a task that changes none itself."""
+    """Robots of the library and robots by path, in a task that changes none itself."""
     assert cli("robot", "new", str(fox)).returncode == 0
     arguments = {"robots": [str(fox.with_name("test_fox.toml")), "spot"], "seed": 0}
     changes = ["robot_overrides.test_fox.action_scale=0.5", "robot_overrides.spot.default_pose.LF_HAA=0.0"]

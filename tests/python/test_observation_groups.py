@@ -1,4 +1,7 @@
-"""A task may observe more than the policy sees, and remember: groups of terms, `history_length`, privileged terms."""
+"""A task may observe more than the policy sees, and remember.
+
+Groups of terms, `history_length`, privileged terms.
+"""
 
 import json
 
@@ -105,7 +108,7 @@ def test_privileged_terms_of_any_body(actions):
     ("robot", "pairs"), [("unitree_h1", {6: 7}), ("spot", {0: 3, 2: 5}), ("phantomx", {0: 3, 1: 4, 2: 5})]
 )
 def test_feet_change_sides_in_the_mirror(robot, pairs):
-    """In the batch's columns LF, LM, LH, RF, RM, RH, L, R; those that the robot lacks stay where they are."""
+    """Columns are LF, LM, LH, RF, RM, RH, L, R; absent ones stay where they are."""
     robots = ["unitree_h1", "spot", "phantomx"]
     env = polypod.make("velocity_flat_legged", 3, robots=robots, seed=0, overrides=[CRITIC])
     where = columns(env, "critic", "feet_height")

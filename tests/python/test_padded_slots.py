@@ -1,4 +1,7 @@
-"""One batch of bodies on two, four and six legs: masks, zeros where a robot lacks a joint, training, export."""
+"""One batch of bodies on two, four and six legs.
+
+Masks, zeros where a robot lacks a joint, training, export.
+"""
 
 import json
 from pathlib import Path
@@ -112,7 +115,7 @@ def test_normalisation_counts_what_is_there_and_leaves_what_is_missing_at_0():
     assert torch.allclose(normalizer.std[1], numbers[present[:, 1] == 1, 1].square().mean().sqrt(), rtol=1e-5)
     normal = normalizer.eval()(numbers)
     assert (normal[present == 0] == 0.0).all()
-    # what is the same in all robots that have it is as large as what varies
+    # a number that is the same in all robots that have it is as large as one that varies
     assert torch.allclose(normal[present[:, 2] == 1, 2], torch.tensor(1.0), rtol=1e-2)
 
 
@@ -157,7 +160,7 @@ def assert_folded_graph_is_the_policy(checkpoint, source, folder):
     qpos, qvel = sim.qpos(robot), sim.qvel(robot)
     observation = sim.observation.copy()
     given = {
-        # those of the base have tests of their own
+        # terms of the base have separate tests
         "base_ang_vel": qvel[:, 3:6],
         "projected_gravity": observation[:, 6:9],
         "velocity_commands": sim.command,
@@ -246,7 +249,7 @@ def test_a_mixed_batch_trains_and_its_policy_serves_each_robot(learner, tmp_path
 
 
 def test_statistics_of_numbers_that_no_robot_has_stay_as_they_are():
-    """A policy of many robots goes on with one: what it knows of the others' numbers is not forgotten."""
+    """A policy of many robots goes on with one, and keeps what it knows of the others' numbers."""
     torch.manual_seed(0)
     normalizer = MaskedNormalization(torch.tensor([1.0, 0.5, 0.0]))
     normalizer._mean[:], normalizer._var[:], normalizer._std[:] = 3.0, 4.0, 2.0

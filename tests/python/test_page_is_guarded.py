@@ -1,4 +1,7 @@
-"""The page of `polypod play` serves its own pages alone, takes what it offers, and no message ends the program."""
+"""The page of `polypod play` serves its own pages alone and takes what it offers.
+
+No message ends the program.
+"""
 
 import contextlib
 import http.client
@@ -241,7 +244,10 @@ def test_a_choice_takes_its_options(live):
 
 
 def test_no_message_opens_a_file(live, tmp_path):
-    """Neither a file that there is, whose keys an error would tell, nor a pipe, on which the program would wait."""
+    """Neither an existing file, whose keys an error would tell, nor a pipe.
+
+    On a pipe the program would wait.
+    """
     import os
 
     (tmp_path / "x.toml").write_text('password = "hunter2"')
@@ -428,7 +434,7 @@ class Waiters(list):
 
 
 def test_events_of_viser_are_set_in_their_loop(live):
-    """A page that leaves while another thread adds a message would end that thread with `deque mutated`."""
+    """A page that leaves while a thread adds a message ends no thread (`deque mutated`)."""
     sockets = live.viewer._server._websock_server
     page = Page(live.viewer.url)
     page.send(CAMERA)

@@ -64,7 +64,7 @@ def test_a_mesh_obstacle_is_drawn_where_it_stands():
 
 
 def test_shapes_stand_on_the_ground_where_the_simulator_has_them():
-    """The lowest point of a robot that stands touches the ground: links, shapes and poses belong together."""
+    """The lowest point of a standing robot touches the ground: shapes and poses match."""
     player = Player(FLAT_POLICY, ["unitree_go2", "spot"], command=(0.0, 0.0, 0.0), threads=1)
     for _ in range(75):
         player.step()

@@ -1,4 +1,4 @@
-"""Generated terrain is drawn where the simulator has it, and robots stand on the drawn surface."""
+"""Generated terrain is drawn where the simulator puts it, and robots stand on it."""
 
 import itertools
 

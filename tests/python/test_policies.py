@@ -1,4 +1,4 @@
-"""A policy of any learner is evaluated, played, exported and run in MuJoCo like one of `polypod train`."""
+"""A policy of any learner is evaluated, played and exported like a `polypod train` one."""
 
 import json
 

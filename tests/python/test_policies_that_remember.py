@@ -1,4 +1,4 @@
-"""Policies with histories and recurrent ones act the same wherever they run: exported, in MuJoCo, in Rust."""
+"""Policies with histories and recurrent ones act the same exported, in MuJoCo and in Rust."""
 
 import json
 import subprocess
@@ -114,7 +114,7 @@ def sensors_of(sim, robot):
 
 
 def assert_agree(given, wanted):
-    """Within 2e-5 of the env's largest action: an action is a sum of terms as large, which float32 rounds."""
+    """Within 2e-5 of the env's largest action: float32 rounds a sum of terms as large."""
     scale = np.maximum(1.0, np.abs(wanted).max(axis=-1, keepdims=True))
     np.testing.assert_array_less(np.abs(given - wanted), np.broadcast_to(2e-5 * scale, wanted.shape))
 
@@ -196,7 +196,7 @@ def test_torchscript_takes_and_gives_states(trained):
 
 
 def test_mujoco_runs_it(trained, cli, tmp_path):
-    """From the first control step on its actions are those of the policy on what its sensors read."""
+    """Its actions are the policy's on its sensors' readings from the first control step on."""
     _, path, _ = trained
     done = cli("sim2sim", "--checkpoint", str(path), "--num-envs", "2", "--steps", "4", "--json", "out.json")
     # these policies do not walk, which is the result 1

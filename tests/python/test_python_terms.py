@@ -1,4 +1,7 @@
-"""Terms in Python see the true state, add up, end episodes, and leave autoreset and final observations right."""
+"""Terms in Python see the true state, add up and end episodes.
+
+Autoreset and final observations stay right.
+"""
 
 import re
 
@@ -89,7 +92,10 @@ def test_the_state_is_what_the_observation_shows(make, actions):
 
 
 def test_the_state_is_consistent(make):
-    """Standing robots: feet below the base and on the ground, their forces carry the weight, quaternions are unit."""
+    """Standing robots: feet below the base and on the ground, quaternions are unit.
+
+    Their contact forces carry the weight.
+    """
     env = make(robots=None, autoreset="disabled", overrides=(*QUIET, "events.push_robot.enabled=false"))
     env.reset(seed=3)
     still = np.zeros(env.action_space.shape, dtype=np.float32)
@@ -122,7 +128,7 @@ def height(state):
 
 
 def test_without_terms_it_is_the_same_step_env(make, actions):
-    """The wrapper over a non-resetting env gives what the env gives that resets by itself: every bit."""
+    """The wrapper over a non-resetting env equals the resetting env in every bit."""
     env = make(overrides=SHORT)
     wrapped = CustomTerms(make(overrides=SHORT, autoreset="disabled"))
     assert wrapped.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
@@ -161,7 +167,10 @@ def test_rewards_are_added_where_they_are_meant(make, actions):
 
 
 def test_own_terminations_end_and_reset(make, actions):
-    """Each env falls below a separate limit at some step: it ends there, shows its last state, and restarts."""
+    """Each env falls below a separate limit at some step.
+
+    It ends there, shows its last state, and restarts.
+    """
     env = make(autoreset="disabled", overrides=QUIET)
     limit = 10
     wrapped = CustomTerms(

@@ -1,4 +1,7 @@
-"""`polypod train --terms FILE` trains with rewards and terminations in Python, and resumes with the same file alone."""
+"""`polypod train --terms FILE` trains with rewards and terminations in Python.
+
+It resumes with the same file alone.
+"""
 
 import shutil
 

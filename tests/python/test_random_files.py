@@ -1,4 +1,4 @@
-"""Files changed at random are taken or refused in order, and what is taken steps on with finite numbers.
+"""Randomly changed files are taken or refused in order; taken ones stay finite.
 
 Robots, meshes, configs, manifests, checkpoints, graphs, dumps and snapshots: `random_files.KINDS`. Another
 `POLYPOD_TEST_SEED` draws others. A complaint names the draw; `random_files.case(kind, index, folder)` writes it again.

@@ -1,4 +1,4 @@
-"""Trainings and sweeps on a Ray cluster give what one process gives, also when a worker is killed."""
+"""Trainings and sweeps on a Ray cluster equal one process, even if a worker is killed."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""Tables and curves are those of the files that trainings and evaluations left: no figure is typed by hand."""
+"""Tables and curves come from the files of trainings and evaluations; none is typed."""
 
 import dataclasses
 import json
@@ -112,7 +112,7 @@ def walker(**values):
 
 
 def test_walking_is_judged_where_the_files_hold_it(tmp_path):
-    """Beside evaluations with commands of the task, which keep their tables."""
+    """Walking has separate tables, next to those of evaluations with commands of the task."""
     for seed, turn in enumerate((0.9, 0.5)):
         found = {"anymal_d": robot(walking=walker()), "spot": robot(walking=walker(turn_reached=turn))}
         judged = evaluation(found, commands="walking")
@@ -148,7 +148,10 @@ def test_groups_stand_side_by_side_and_conditions_apart(tmp_path):
 
 
 def test_robots_that_were_left_out_stand_apart(tmp_path):
-    """Two runs of one group, each without one robot: each robot's row is that of the run that never saw it."""
+    """Two runs of one group, each without one robot.
+
+    Each robot's row is that of the run that never saw it.
+    """
     for out, falls in (("spot", 0.2), ("anymal_d", 0.4)):
         trained_on = [name for name in ROBOTS if name != out]
         found = {name: robot(fall_rate=falls if name == out else 0.0) for name in ROBOTS}

@@ -36,7 +36,7 @@ def test_four_iterations_equal_two_and_two(tmp_path):
     assert half.parent == resumed.parent
     expected, found = run_dir.load_checkpoint(whole), run_dir.load_checkpoint(resumed)
     for state in (expected, found):
-        del state["infos"]["logger"]["time"]  # of the wall clock
+        del state["infos"]["logger"]["time"]  # the wall clock's
     assert differences(expected, found) == []
     assert differences(expected, run_dir.load_checkpoint(half)) != []
 

@@ -1,4 +1,4 @@
-"""Rewards of robots on different scales come out on one scale, and each robot's keep their proportions."""
+"""Rewards of different scales come out on one, and each robot's keep their proportions."""
 
 import torch
 

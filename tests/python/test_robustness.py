@@ -60,7 +60,10 @@ JOINT_TASK = "velocity_flat_joints_play"
 
 
 def in_simulator(nominal, condition, robot):
-    """Numbers of a robot in polypod, as it reads them back: privileged terms, and those of joints by their names."""
+    """Numbers of a robot in polypod, as it reads them back.
+
+    Privileged terms, and those of joints by their names.
+    """
     group = "observations.critic=[" + ", ".join(f'{{term="{term}"}}' for term in PRIVATE) + "]"
     changes = in_polypod.changes_of(BY_NAME[condition], {robot: nominal.robots[robot]}, nominal.physics_dt)
     sim = _core.VecSim(JOINT_TASK, 1, robots=[robot], threads=1, overrides=[group, *changes])
@@ -149,7 +152,7 @@ def test_each_condition_changes_what_it_says_in_mujoco(mujoco, nominal):
         loaded = change(name)[1]
         np.testing.assert_allclose(loaded.body_mass, np.where(trunk, factor, 1.0) * model.body_mass)
         np.testing.assert_allclose(loaded.body_inertia, np.where(trunk, factor, 1.0)[:, None] * model.body_inertia)
-        # what MuJoCo derives from it goes along
+        # numbers that MuJoCo derives from it change with it
         np.testing.assert_allclose(loaded.body_subtreemass[0], loaded.body_mass.sum())
         # the trunk is the one of polypod
         np.testing.assert_allclose(model.body_mass[trunk].sum(), nominal.robots["unitree_go1"].trunk_mass)

@@ -1,4 +1,7 @@
-"""The rough tasks of all classes: the ground, scan and curriculum of the quadrupeds', with bodies that fit them."""
+"""The rough tasks of all classes have the quadrupeds' ground, scan and curriculum.
+
+Their bodies fit them.
+"""
 
 import numpy as np
 import pytest
@@ -30,6 +33,6 @@ def test_every_robot_stands_on_rough_ground_and_sees_it(task, count, variant):
     is_play = variant == "_play"
     assert config["curriculum"]["terrain_levels"].get("enabled", True) != is_play
     assert config["observations"]["enable_noise"] != is_play
-    # what ends the episodes of upright bodies ends those on rough ground
+    # terminations of upright bodies are also theirs on rough ground
     assert {"illegal_contact", "bad_orientation", "root_height_below_minimum"} <= set(config["terminations"])
     assert config["rewards"]["g1"]["lin_vel_z_l2"]["weight"] == 0.0

@@ -1,4 +1,4 @@
-"""Train configs switch rsl_rl's features on: asymmetric critics, recurrent networks, RND, distillation."""
+"""Train configs switch on asymmetric critics, recurrent networks, RND and distillation."""
 
 import dataclasses
 from pathlib import Path
@@ -104,8 +104,8 @@ def test_a_network_of_joints_remembers_and_acts_for_any_bodies(tmp_path, capsys)
     layout = run_dir.read_manifest(checkpoint)["policy"]["observation_layout"]
     assert {entry["term"]: entry.get("history_length", 1) for entry in layout}["joint_pos_rel"] == 3
     assert export_checkpoint(checkpoint, tmp_path / "exported").difference <= 1e-5
-    # bodies with slots that the training had not: the same weights act, and learn beside the critic, to which most
-    # numbers are new
+    # bodies with slots that the training had not: the same weights act, and learn together with the
+    # critic, to which most numbers are new
     others = {"task": "velocity_flat_legged_joints", "robots": ["phantomx", "unitree_g1"]}
     evaluation = evaluate_checkpoint(checkpoint, num_envs=2, steps=5, **others)
     assert list(evaluation.robots) == others["robots"]
@@ -224,7 +224,7 @@ def test_the_native_learner_says_what_it_does_not_do(override):
     [("rough_blind", 5 * (6 + 36) + 3 + 35, SMALL_TERRAIN), ("flat_asymmetric", 5 * (9 + 36) + 3 + 35, ())],
 )
 def test_the_configs_that_come_along_train(tmp_path, name, numbers, overrides):
-    """A student of the bundled rough policy, and an asymmetric critic beside a policy with a history."""
+    """A student of the bundled rough policy, and an asymmetric critic with a history."""
     small = ("train.run.num_steps_per_env=8", "train.actor.hidden_dims=[16]", "train.critic.hidden_dims=[16]")
     options = {**TINY, "train_config": name, "max_iterations": 1, "overrides": [*SHORT, *small, *overrides]}
     assert session.train(session.Options(log_dir=tmp_path, **options)) == 0

@@ -1,4 +1,4 @@
-"""`send` and `recv` are `step` in two halves: the same arrays, with room for other work in between."""
+"""`send` and `recv` are `step` in two halves, with room for other work in between."""
 
 import threading
 
@@ -25,7 +25,7 @@ def test_two_halves_give_what_a_step_gives() -> None:
         actions = rng.standard_normal((16, 12)).astype(np.float32)
         expected = whole.step(actions)
         halves.send(actions)
-        actions[:] = np.nan  # what was sent is a copy
+        actions[:] = np.nan  # the sent array is a copy
         found = halves.recv()
         for a, b in zip(expected[:4], found[:4], strict=True):
             assert np.array_equal(a, b)

@@ -1,4 +1,4 @@
-"""The exported policy walks in MuJoCo as it does in polypod, through MuJoCo's own sensors and actuators."""
+"""The exported policy walks in MuJoCo as in polypod, through MuJoCo's own sensors."""
 
 import dataclasses
 import json
@@ -64,7 +64,7 @@ def test_its_sensors_read_what_the_simulator_observes(robot):
 
 @pytest.mark.parametrize("robot", ["spot", "anymal_c"])
 def test_efforts_stay_within_the_actuators_limits(robot):
-    """Towards targets far away: the motor's torque-speed line, or the table over the joint angle."""
+    """Effort towards targets far away: the torque-speed line, or the table over the angle."""
     sim, mujoco, _ = make_twin(robot)
     mujoco.reset(sim.qpos(robot), sim.qvel(robot))
     mujoco._targets[:] = 20.0
@@ -225,7 +225,7 @@ def test_a_robot_transfers_if_it_walks_in_mujoco():
 
 
 def test_the_ground_is_the_tasks_own(capsys):
-    """MuJoCo's rays hit the ground that polypod's robots stand on, and the twin's scanner agrees."""
+    """MuJoCo's rays hit the ground that polypod's robots stand on, as the twin's scanner does."""
     rough = {"checkpoint": ROUGH_POLICY, "task": "velocity_rough_universal_play", "overrides": SMALL_TERRAIN}
     sim, mujoco, policy = make_twin("unitree_go1", 16, **rough)
     for _ in range(3):

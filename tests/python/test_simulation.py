@@ -28,7 +28,7 @@ def instruction_sets():
 
 
 def scatter(sim, seed=0):
-    """Puts every env into a different state, within the joints' limits, that depends on its number alone."""
+    """Puts every env into a different state within the limits, by its number alone."""
     first = sim.nq - sim.num_joints
     for env in range(sim.num_envs):
         random = np.random.default_rng([seed, env])
@@ -626,7 +626,7 @@ def test_ground_gap_of_a_standing_robot():
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_contacts_that_nothing_can_satisfy_stay_finite(dtype):
-    """The legs of a robot whose base is nailed to the ground's height reach a metre into the ground."""
+    """Legs of a robot whose base is nailed to the ground's height reach a metre into it."""
     sim = polypod.Simulation(URDF / "biped.urdf", 4, fixed_base=True, dtype=dtype)
     sim.set_state(0.1 * np.random.default_rng(0).standard_normal((4, sim.nq)) * [[0.0], [1.0], [1.0], [1.0]])
     for _ in range(40):

@@ -68,7 +68,7 @@ def test_there_is_one_env_per_robot_by_default(task, robots, count):
 
 
 def test_make_vec_needs_no_number_of_envs():
-    """Gymnasium passes 1 when its caller names none: an env of each robot, with a warning that says so."""
+    """Gymnasium passes 1 when its caller names none: an env of each robot, with a warning."""
     with pytest.warns(UserWarning, match=r"gives 8 envs, one for each robot.*pass num_envs=8 or more, or robots="):
         env = gymnasium.make_vec("polypod/Velocity-Flat-HeteroQuadruped-v0", seed=0)
     assert env.num_envs == 8
@@ -100,7 +100,7 @@ def test_an_unknown_option_is_named():
     [("tasks", "broken", "'broken'"), ("robots", "big_dog", "'velocity_flat', robots=['big_dog']")],
 )
 def test_a_broken_config_does_not_break_the_import(kind, stem, use, tmp_path):
-    """It is a warning with the file's name, all other tasks and robots work, and using it is the error."""
+    """A broken file is a warning with its name, others work, and using it is the error."""
     file = tmp_path / "configs" / kind / f"{stem}.toml"
     file.parent.mkdir(parents=True)
     file.write_text("name = [")

@@ -26,7 +26,7 @@ Array = npt.NDArray[np.float64]
 
 
 def feet_by_hand(env: polypod.VectorEnv, robot: str) -> tuple[Array, Array]:
-    """[envs, feet, 3] each, places and velocities of the feet by the poses and velocities of links."""
+    """[envs, feet, 3] each, positions and velocities of the feet by those of the links."""
     twin = polypod.Simulation(robot, env.num_envs, ground=None)
     twin.set_state(qpos=env.sim.qpos(robot), qvel=env.sim.qvel(robot))
     position, quaternion = twin.link_pose()

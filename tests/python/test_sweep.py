@@ -36,7 +36,7 @@ CONFIG = 'extends = "flat"\n[run]\nsave_interval = 1\nnum_steps_per_env = 8\n'
 
 @pytest.fixture
 def write(tmp_path):
-    """Writes a sweep beside its train config."""
+    """Writes a sweep next to its train config."""
 
     def file(text):
         (tmp_path / "mine.toml").write_text(CONFIG)

@@ -1,4 +1,4 @@
-"""The solver's usual number of sweeps is no worse than the physics step itself, which 0.5 ms shows."""
+"""The solver's usual sweeps are no worse than the physics step, which 0.5 ms shows."""
 
 import pytest
 
@@ -11,7 +11,10 @@ from polypod.accuracy.sweeps import COUNTS, USUAL, compare_sweeps
 
 @pytest.fixture(autouse=True)
 def converged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The core tier takes half the sweeps of the converged solution, which changes `left` over `step` by 1.5 %."""
+    """The core tier takes half the sweeps of the converged solution.
+
+    This changes `left` over `step` by 1.5 %.
+    """
     monkeypatch.setattr(sweeps, "CONVERGED", size(sweeps.CONVERGED // 2, sweeps.CONVERGED))
 
 

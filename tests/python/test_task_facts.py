@@ -56,7 +56,7 @@ def test_observation_terms(make, flat):
 
 
 def test_noise_is_uniform_and_as_wide_as_said(make):
-    """Noise is the last that a reset draws: with and without it the same seed gives the same state."""
+    """A reset draws noise last: with and without it the same seed gives the same state."""
     num_envs = size(4000, 40_000)
     with_noise = make(robots=None, num_envs=num_envs).reset(seed=4)[0]
     without = make(robots=None, num_envs=num_envs, overrides=["observations.enable_noise=false"]).reset(seed=4)[0]

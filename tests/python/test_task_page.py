@@ -105,7 +105,7 @@ def test_the_table_of_observation_terms_is_what_they_state():
     found = [line for line in page.splitlines() if re.match(r"\| `\w+` \|(?: [^|]*\|){4}$", line)]
     assert found == rows
     assert {term for term in specs if f"| `{term}` (" not in PAGE} == {
-        # they have tables of their own
+        # they have separate tables
         "joint_descriptors",
         "morphology",
     }

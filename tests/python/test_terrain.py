@@ -39,7 +39,7 @@ def test_the_mesh_is_the_ground(tmp_path: Path) -> None:
     ground = _core.terrain("velocity_rough", [value for value in SMALL if "=" in value])
     assert corners[:, 2].max() == pytest.approx(float(ground["heights"].max()), abs=1e-4)
     assert corners[:, 2].min() == pytest.approx(float(ground["heights"].min()), abs=1e-4)
-    # what can be stood on looks up
+    # surfaces to stand on look up
     assert (facets["normal"][:, 2] > -1e-5).all()
 
 

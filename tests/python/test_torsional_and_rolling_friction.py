@@ -1,4 +1,7 @@
-"""Contacts resist turning and rolling as Coulomb's law says: bodies against formulas and MuJoCo's condim 4 and 6."""
+"""Contacts resist turning and rolling as Coulomb's law says.
+
+Bodies against formulas and MuJoCo's condim 4 and 6.
+"""
 
 import math
 
@@ -39,7 +42,10 @@ def body(shape, tmp_path):
 
 
 def run(shape, tmp_path, velocity, seconds, *, sliding=0.8, torsional=0.0, rolling=0.0, slope=0.0, dtype="float32"):
-    """Positions and velocities in the end, polypod's and MuJoCo's, of a body that starts with `velocity` [6]."""
+    """Final positions and velocities of a body that starts with `velocity` [6].
+
+    From polypod and from MuJoCo.
+    """
     path, urdf = body(shape, tmp_path)
     normal = (math.sin(slope), 0.0, math.cos(slope))
     height = 0.02 if shape == "disc" else RADIUS

@@ -35,7 +35,7 @@ def test_a_file_extends_a_shipped_one(tmp_path):
 
 
 def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
-    """By the rules of tasks: in order, each file once, paths relative to the file, tables merged."""
+    """Layers follow the rules of tasks: in order, each file once, paths relative to it."""
     (tmp_path / "long.toml").write_text("[run]\nmax_iterations = 7000\nsave_interval = 7\n")
     (tmp_path / "short.toml").write_text('extends = "flat"\n[run]\nmax_iterations = 70\n')
     (tmp_path / "mine.toml").write_text(

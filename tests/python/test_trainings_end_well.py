@@ -1,4 +1,4 @@
-"""A training that is stopped, disturbed or starved loses nothing, and goes on as if nothing had happened."""
+"""A training that is stopped, disturbed or starved loses nothing, and goes on."""
 
 import errno
 import os

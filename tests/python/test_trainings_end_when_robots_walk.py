@@ -1,4 +1,7 @@
-"""Trainings end when their robots walk: measurements come at intervals, change nothing, and the best policy stays."""
+"""Trainings end when their robots walk.
+
+Measurements come at intervals, change nothing, and the best policy stays.
+"""
 
 import dataclasses
 import json

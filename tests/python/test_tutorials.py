@@ -1,4 +1,7 @@
-"""The tutorials run as they are written, from top to bottom, with small sizes in place of those of a real training."""
+"""The tutorials run as they are written, from top to bottom.
+
+Sizes are smaller than those of a real training.
+"""
 
 import contextlib
 import io

@@ -1,4 +1,7 @@
-"""The network of joints: the same weights for any bodies in one batch, and a network like any other to all tools."""
+"""The network of joints: the same weights for any bodies in one batch.
+
+All tools use it like any other network.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -160,7 +163,7 @@ def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
     torch.testing.assert_close(network.get_output_log_prob(actions), (normal.log_prob(actions) * real).sum(1))
     torch.testing.assert_close(network.output_entropy, (normal.entropy() * real).sum(1))
     old = tuple(tensor.detach() for tensor in network.output_distribution_params)
-    # what stands in slots that a robot lacks counts for nothing
+    # numbers in slots that a robot lacks count for nothing
     new = (old[0] + 0.3 + 5.0 * ~mask, old[1], old[2])
     expected = (real * (0.3 / old[1]).square() / 2.0).sum(1)
     torch.testing.assert_close(network.get_kl_divergence(old, new), expected)
@@ -171,7 +174,10 @@ def test_density_entropy_and_divergence_are_those_of_the_real_joints_alone():
 
 
 def test_joints_begin_apart_and_alike_ones_of_different_robots_together():
-    """A network of joints learns only what it can tell apart: codes of one robot's joints, and of two robots'."""
+    """A network of joints learns only what it can tell apart.
+
+    Codes of one robot's joints, and of two robots'.
+    """
     env = polypod.make(TASK, 8, seed=0)
     network = build(12, joint_dim=256, obs_normalization=True)
     network.train()
@@ -190,7 +196,10 @@ def test_joints_begin_apart_and_alike_ones_of_different_robots_together():
 
 
 def first_step(network, observations):
-    """How far a step of the optimiser moves the actions, as a mean of squares, for advantages without a pattern."""
+    """Mean square of the actions' change in a step of the optimiser.
+
+    The advantages have no pattern.
+    """
     generator = torch.Generator().manual_seed(1)
     weights = [weight for weight in network.parameters() if weight.requires_grad]
     optimizer = torch.optim.Adam(weights, 1e-3)
@@ -203,7 +212,7 @@ def first_step(network, observations):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_step_of_the_optimiser_moves_the_policy_no_further_than_a_perceptrons(seed):
-    """Else the divergence that PPO aims at holds the learning rate down, and such a network learns next to nothing."""
+    """Else PPO's divergence holds the learning rate down, and the network learns little."""
     moves = []
     for name in ("flat_universal", "flat_joints"):
         shipped = config.load(name)
@@ -221,7 +230,7 @@ def test_a_step_of_the_optimiser_moves_the_policy_no_further_than_a_perceptrons(
 
 
 def test_columns_are_read_by_what_their_terms_are():
-    """Under other names, with what the simulator states of them, the observation is read in the same way."""
+    """The observation is read in the same way under other names with their descriptions."""
     env = polypod.make(TASK, num_envs=8)
     layout = layout_of_terms(terms_of(env.sim))
     env.close()
@@ -303,7 +312,7 @@ def test_a_height_scan_belongs_to_the_body():
 
 
 def test_mirror_images_of_different_bodies_are_observations_of_bodies():
-    """The image of a symmetric body in its mirrored pose is what the mirror makes of the observation."""
+    """The image of a symmetric body in a mirrored pose is the mirrored observation."""
     env = mixed_env()
     adapter = polypod.rsl_rl.VecEnv(env)
     observations = adapter.get_observations()

@@ -32,7 +32,10 @@ in_chromium = pytest.mark.skipif(
 
 
 class Client:
-    """A page as viser's is: nodes move when a picture is drawn, all else that is new is seen one picture later."""
+    """A page like viser's: nodes move when a picture is drawn.
+
+    All else that is new is seen one picture later.
+    """
 
     def __init__(self, url):
         """Connects as a page does."""
@@ -185,7 +188,7 @@ def test_the_view_follows_the_group_a_robot_or_nothing(group, viewer, monkeypatc
 
 @pytest.mark.parametrize("what", [GROUP, 1])
 def test_the_opening_shot_frames_what_is_followed(viewer, what):
-    """All of it is within the picture of a page of 16 to 9, and fills at least a quarter of its width."""
+    """All of it is inside a picture of 16 to 9, and fills at least a quarter of its width."""
     viewer.follow(what)
     camera = viewer._server.initial_camera
     forward = np.array(camera.look_at) - camera.position
@@ -206,7 +209,7 @@ def test_the_opening_shot_frames_what_is_followed(viewer, what):
 
 
 def test_robots_that_fall_come_back_to_the_group(group):
-    """On a separate flat ground an env may be drawn anywhere: where the others are, and not where it began."""
+    """On a separate flat ground an env may be drawn where the others are, not at its start."""
     group.stand(2)
     for _ in range(100):
         group.step()
@@ -449,7 +452,10 @@ def test_chromium_draws_a_robot_and_its_name_together():
                 return
 
     def middles(picture):
-        """Columns of the dark plate with the name and of the orange thighs, left of the panel and below notices."""
+        """Columns of the dark plate with the name and of the orange thighs.
+
+        They lie left of the panel and below notices.
+        """
         red, green, blue = np.moveaxis(picture[:, 320:940].astype(int), 2, 0)
         plate = (np.maximum(np.maximum(red, green), blue) < 70)[:220]
         thighs = (red - blue > 50)[220:]

@@ -40,7 +40,10 @@ def follows(commands, step, since):
 
 
 def measured(motion, box="whole", num_envs=64, seed=0, falls=0):
-    """The figures of robots that move as `motion(commands, step, since the command) -> [envs, 3]` says."""
+    """Figures of robots that move as `motion(commands, step, time) -> [envs, 3]` says.
+
+    Time counts since the command.
+    """
     schedule = drawn(box, num_envs, seed=seed)
     record = Record(schedule, DT)
     falling = np.arange(num_envs) < falls
@@ -137,7 +140,8 @@ def test_a_robot_that_stands_still_fails_on_everything_but_drift_and_falls():
     assert set(walking.faults(found)) == {"planar error", "share of still", "yaw error", "turn"}
     assert found.error_vel_xy == found.still_error_vel_xy
     assert found.error_vel_yaw == found.still_error_vel_yaw
-    # of the box [-1, 1]: 3/8 from the whole of it, 1/4 side-steps of 0.75 m/s, as many turns, 1/8 stops
+    # in the box [-1, 1]: 3/8 from the whole of it, 1/4 side-steps of 0.75 m/s, as many turns, 1/8
+    # stops
     assert found.still_error_vel_xy == pytest.approx(0.375 * 0.7652 + 0.25 * 0.75, abs=0.03)
     assert found.still_error_vel_yaw == pytest.approx(0.375 * 0.5 + 0.25 * 0.75, abs=0.03)
     assert any("pure turns reach 0% of what is asked, 60% wanted" in text for text in walking.why_not(found))

@@ -1,4 +1,4 @@
-"""A wheel, installed into a new environment outside the checkout, is small and makes the shipped policy walk."""
+"""A wheel, installed outside the checkout, is small and makes the shipped policy walk."""
 
 import json
 import os
@@ -61,7 +61,7 @@ def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:
     arguments = ["eval", "--checkpoint", "flat", "--num-envs", "16", "--json", "walked.json"]
     subprocess.run([polypod, *arguments], **options)
     walked = json.loads((tmp_path / "walked.json").read_text())["robots"]
-    # what the checkout measures, to the bit: no file is missing or another
+    # the checkout's figures, to the bit: no file is missing or another
     subprocess.run([sys.executable, "-m", "polypod", *arguments], **options)
     assert walked == json.loads((tmp_path / "walked.json").read_text())["robots"]
     assert len(walked) == 8

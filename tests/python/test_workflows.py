@@ -1,4 +1,4 @@
-"""All names in the workflows exist: paths, targets of make, packages, filters of tests, jobs and commands."""
+"""All names in the workflows exist: paths, targets, packages, filters, jobs, commands."""
 
 import itertools
 import os
@@ -182,7 +182,10 @@ def test_tokens_read_and_no_more(workflow):
 
 
 def test_every_python_is_tested_and_tried():
-    """The tests run on each version of Python that the package names, and each wheel is installed into each of them."""
+    """The tests run on each version of Python that the package names.
+
+    Each wheel is installed into each of them.
+    """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = [found[1] for line in project["classifiers"] if (found := re.search(r"Python :: (3\.\d+)$", line))]
     assert named == PYTHONS

@@ -1,4 +1,7 @@
-"""Runs `polypod` as several workers: forks of a process that has imported all it needs. torchrun takes seconds."""
+"""Runs `polypod` as several workers: forks of a process that has imported all it needs.
+
+torchrun takes seconds.
+"""
 
 import contextlib
 import json
@@ -111,7 +114,10 @@ def _serve() -> None:
 
 
 def _free_port() -> int:
-    """A port below those that the system gives to whoever asks for any, such as gloo and the tests beside this one."""
+    """A port below those that the system gives to callers that ask for any.
+
+    gloo and the neighbouring tests ask for any.
+    """
     for port in random.sample(range(20_000, 32_000), 100):
         with contextlib.closing(socket.socket()) as probe:
             if probe.connect_ex(("127.0.0.1", port)):

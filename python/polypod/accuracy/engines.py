@@ -71,7 +71,7 @@ class Engines:
 
     @property
     def torque_difference(self) -> float:
-        """Largest difference of the engines' torques on the standing robot, over the largest torque.
+        """Largest difference of the engines' torques on the standing robot, over the largest one.
 
         A joint at rest may be held by any torque within its dry friction: what is compared are robots without it.
         """
@@ -134,7 +134,10 @@ def _measure(robot: Robot, engine: str, deviation: Array) -> Engine:
 
 
 def frictionless_torque(robot: Robot, engine: str) -> Array:
-    """The actuators' torques on the robot as it stands after `SETTLE_TIME`, its joints without dry friction, N m."""
+    """The actuators' torques on the robot as it stands after `SETTLE_TIME`, N m.
+
+    Its joints have no dry friction.
+    """
     with with_actuators(robot, {group: {"friction": 0.0} for group in robot.actuators.groups}) as config:
         sim = _simulation(robot, engine, DT, source=config)
         hold(sim, robot, SETTLE_TIME)

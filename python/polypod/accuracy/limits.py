@@ -108,7 +108,10 @@ class Limits:
         data.efc_aref[rows] = (1.0 + step * inverse * self._implicit_damping(data)[dofs]) * change / step
 
     def _implicit_damping(self, data: Any) -> Array:
-        """Damping of each degree of freedom, N m s/rad: of its joint and actuator, unless the effort is at a limit."""
+        """Damping of each degree of freedom, N m s/rad.
+
+        The joint's and the actuator's, without the latter where the effort is at a limit.
+        """
         model, actuators = self._model, self._actuators
         wanted = actuators.stiffness * (data.ctrl - data.qpos[self._q]) - actuators.damping * data.qvel[self._v]
         least, most = model.actuator_forcerange.T

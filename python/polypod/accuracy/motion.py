@@ -22,7 +22,7 @@ CONVERGED = 0.00025
 
 @dataclasses.dataclass(frozen=True)
 class StepResponse:
-    """Worst deviation of any joint at any time from the converged answer, rad, over the jumps of all joints.
+    """Worst deviation from the converged answer over all joints, times and jumps, rad.
 
     The base is fixed; the robot starts in its default pose at rest and one joint's target jumps by 0.1 rad. The
     converged answer is MuJoCo's with RK4 at 0.25 ms. Both have the limits of effort, speed and position.

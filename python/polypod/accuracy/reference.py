@@ -68,7 +68,7 @@ class Heights:
     """Distance of two points, m."""
 
     def widened(self, by: float) -> "Heights":
-        """The same with its edges drawn out by this much, m: MuJoCo's height fields end where they end."""
+        """The map with its edges extended by this much, m: MuJoCo's height fields just end."""
         points = math.ceil(by / self.cell)
         x, y = (start - points * self.cell for start in self.origin)
         return Heights(np.pad(self.heights, points, mode="edge"), (x, y), self.cell)
@@ -291,7 +291,7 @@ class Reference:
         return bool(self._mj.mj_name2id(self.model, int(self._mj.mjtObj.mjOBJ_BODY), name) >= 0)
 
     def contact_forces(self, links: list[str]) -> Array:
-        """Net force [links, 3] of the ground on each link and on what is fixed to it, world axes, N."""
+        """Net force [links, 3] of the ground on each link with its fixed parts, world axes, N."""
         forces = np.zeros((len(links), 3))
         wrench = np.zeros(6)
         for index in range(self.data.ncon):

@@ -75,7 +75,7 @@ class Report:
         return [result for found in (*lists, self.slides, self.slopes) for result in found]
 
     def worst(self, bound: Bound) -> tuple[str, float] | None:
-        """The largest figure of a bound, or one that is no number, and whose it is; None without any."""
+        """The largest figure of a bound, or one that is no number, with its owner; or None."""
         figures = [figure for result in self.results() for figure in bound.figures(result)]
         return max(figures, key=lambda figure: math.inf if math.isnan(figure[1]) else figure[1], default=None)
 

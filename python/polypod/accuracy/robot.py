@@ -61,7 +61,7 @@ class Actuators:
     """Joints whose torque a network gives in the place of the gains, [joints]."""
 
     def effort_range(self, position: Array, velocity: Array) -> Array:
-        """Least and most effort [..., joints, 2] of each actuator at the joints' positions and velocities."""
+        """Least and most effort [..., joints, 2] at these joint positions and velocities."""
         limit = np.broadcast_to(self.effort_limit, position.shape).copy()
         for joint, table in enumerate(self.effort_tables):
             if table is not None:
@@ -174,7 +174,7 @@ def load(source: str) -> Robot:
 
 @contextlib.contextmanager
 def with_actuators(robot: Robot, groups: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """The path of a config that differs from the robot's in these keys of its groups of actuators."""
+    """The path of a config that differs from the robot's in these keys of its actuator groups."""
     tables = (
         f"[actuators.{group}]\n" + "".join(f"{key} = {float(value)!r}\n" for key, value in keys.items())
         for group, keys in groups.items()
@@ -188,7 +188,10 @@ def with_actuators(robot: Robot, groups: Mapping[str, Mapping[str, float]]) -> I
 
 
 def of(sim: _core.VecSim, name: str, source: str) -> Robot:
-    """The robot `name` of a simulation, which was made from `source`: its name, or the path of its config."""
+    """The robot `name` of a simulation.
+
+    `source` is its name, or the path of its config.
+    """
     info = json.loads(sim.robot_info())[name]
     config = tomllib.loads(sim.resolved_config())["robots"][name]
     groups = config["actuators"]

@@ -115,7 +115,7 @@ class Standing:
 
     @property
     def tangential_error(self) -> float:
-        """Largest difference of a foot's horizontal force, relative to MuJoCo's normal force on that foot."""
+        """Largest difference of a foot's horizontal force, over MuJoCo's normal force on it."""
         difference = np.linalg.norm(self.tangential - self.mujoco_tangential, axis=1)
         return float((difference / self.mujoco_normal).max())
 

@@ -31,7 +31,10 @@ SETTLE, MOMENTS, EVERY = 20, 10, 4
 
 @dataclasses.dataclass(frozen=True)
 class Sweeps:
-    """How far the base is off in velocity after 20 ms of random targets, m/s: root mean square over robots, moments."""
+    """Error of the base's velocity after 20 ms of random targets, m/s.
+
+    Root mean square over robots and moments.
+    """
 
     robot: str
     left: dict[int, float]
@@ -41,7 +44,7 @@ class Sweeps:
 
 
 def compare_sweeps(robot: Robot, *, seed: int = 0) -> Sweeps:
-    """Compares a robot of the library that kicks about on the ground under random targets, falls and lies there."""
+    """Compares a robot under random targets: it kicks on the ground, falls and lies there."""
     rng = np.random.default_rng(seed)
     moving = _simulation(robot, DT, USUAL)
     others = {count: _simulation(robot, DT, count) for count in (*COUNTS, CONVERGED)}

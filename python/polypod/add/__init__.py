@@ -114,7 +114,7 @@ def add(
 
 @contextlib.contextmanager
 def _named_after(file: Path, staged: Path, name: str) -> Iterator[None]:
-    """Lets errors name the file that the user knows in the place of the one that is being written."""
+    """Lets errors name the user's file in the place of the one that is being written."""
     try:
         yield
     except _core.PolypodError as error:
@@ -229,7 +229,10 @@ def _write(
 
 
 def _summed_up(notes: list[str]) -> list[str]:
-    """Notes of a draft, with one for all joints without an effort limit, and without paths that do not stay."""
+    """Notes of a draft, without temporary paths.
+
+    One note stands for all joints without an effort limit.
+    """
     bare = [found[1] for note in notes if (found := _NO_EFFORT.match(note))]
     kept = [_CHECK.sub("", note) for note in notes if not _NO_EFFORT.match(note)]
     if bare:

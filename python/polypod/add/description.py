@@ -155,7 +155,10 @@ def turned(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def inertial_of(link: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:
-    """Adds an `<inertial>` to a link: centre of mass, m, and the inertia about it in axes of the link, kg m^2."""
+    """Adds an `<inertial>` to a link: centre of mass, m, and the inertia about it, kg m^2.
+
+    The inertia is in axes of the link.
+    """
     inertial = ElementTree.SubElement(link, "inertial")
     _origin(inertial, com, np.eye(3))
     ElementTree.SubElement(inertial, "mass", value=repr(float(mass)))

@@ -273,6 +273,6 @@ def _place(description: Description, link: str) -> tuple[Array, Array]:
 
 
 def _cross(vector: Array) -> Array:
-    """The matrix of w -> velocity of the root's origin under w, seen from a base at `vector` from it."""
+    """The matrix of w -> velocity of the root's origin under w, for a base `vector` from it."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,4 +1,4 @@
-"""An MJCF file as MuJoCo compiles it, written down: links, joints, shapes, drives and a pose to stand in.
+"""MJCF files as MuJoCo compiles them: links, joints, shapes, drives and a pose to stand in.
 
 MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, replicas, includes and
 attachments, and the compiled model has them all resolved. These parts are taken from it:
@@ -163,7 +163,7 @@ def _with_ground(mj: Any, spec: Any, notes: list[str]) -> None:
 
 
 def _without_visuals(mj: Any, spec: Any) -> None:
-    """Leaves meshes out that neither touch anything nor give a mass: compiling them takes seconds."""
+    """Leaves out meshes that neither touch anything nor give a mass: they take seconds."""
     named = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     named |= {name for sensor in spec.sensors for name in (sensor.objname, sensor.refname)}
     for geom in spec.geoms:
@@ -390,7 +390,7 @@ class Reader:
     # Joints that do not move
 
     def _held(self, drives: dict[int, Drive]) -> dict[str, float]:
-        """Joints that equality constraints tie, and those that nothing drives while others are driven."""
+        """Joints that equality constraints tie, and undriven joints where others are driven."""
         mj, model = self.mj, self.model
         held: dict[int, float] = {}
         tied, loops, tendons = [], [], []
@@ -497,7 +497,10 @@ class Reader:
         return links
 
     def _before(self, joint: int, at: Array, turn: Array, anchor: Array) -> tuple[Array, Array, Array]:
-        """Frame of a joint's link in that of the link before, at zero, and the joint's anchor in its body's frame."""
+        """Frame of a joint's link in the link before, at zero.
+
+        Returns it with the joint's anchor in its body's frame.
+        """
         model = self.model
         axis, rest = np.array(model.jnt_axis[joint]), float(model.qpos0[model.jnt_qposadr[joint]])
         if int(model.jnt_type[joint]) == int(self.mj.mjtJoint.mjJNT_SLIDE):
@@ -549,7 +552,7 @@ class Reader:
         return 0.0 if numbers is None else float(numbers[index]) * float(self.model.actuator_gear[index][0]) ** 2
 
     def _with_mass(self, link: Link, body: int, anchor: Array, tokens: list[Array]) -> Link:
-        """The link with the mass of its body, less point masses `TOKEN` at these points of the body."""
+        """The link with the mass of its body, less point masses `TOKEN` at these points."""
         model = self.model
         turn = matrix(model.body_iquat[body])
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T

@@ -1,4 +1,4 @@
-"""Where a robot comes from: a file, a folder, a zip file, or the name of a robot in another package."""
+"""Sources of robots: a file, a folder, a zip file, or the name of a robot in another package."""
 
 import contextlib
 import dataclasses

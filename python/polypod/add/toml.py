@@ -1,4 +1,4 @@
-"""The TOML of an added robot: that of the draft, with what the file says of actuators and of the pose to stand in."""
+"""The TOML of an added robot: the draft, with the file's actuators and pose to stand in."""
 
 import dataclasses
 import json
@@ -39,7 +39,7 @@ class Slots:
 
 
 def refined(draft: str, robot: Description, slots: Slots, origin: str, *, posed: bool) -> str:
-    """The text of a draft with the gains, limits, rotors and, where `posed`, the pose of the file."""
+    """The text of a draft with the file's gains, limits, rotors and, where `posed`, pose."""
     joints = {joint.name: joint for joint in robot.joints}
     own = {slot: joints[name] for slot, name in slots.joint_of.items() if name in joints}
     config = tomllib.loads(draft)
@@ -65,7 +65,7 @@ def refined(draft: str, robot: Description, slots: Slots, origin: str, *, posed:
 
 
 def _is_near_limit(joint: Joint, factor: float) -> bool:
-    """Whether resets, which keep to a share of the joint's range, could not begin in its home position."""
+    """Whether resets, which use a share of a joint's range, could not begin at its home."""
     margin = 0.5 * (1.0 - factor) * (joint.upper - joint.lower)
     return not joint.lower + margin <= joint.home <= joint.upper - margin
 

@@ -1,4 +1,4 @@
-"""A URDF made part of a library: its text without what is only shown, and the collision meshes next to it."""
+"""A URDF made part of a library: its text without visuals, and the collision meshes next to it."""
 
 import dataclasses
 import re
@@ -183,7 +183,10 @@ def _compiled(mj: Any, root: ElementTree.Element) -> Any:
 
 
 def _merge(root: ElementTree.Element) -> None:
-    """Adds the inertias of links on fixed joints to those of the links that move them, from the leaves to the base."""
+    """Adds the inertias of links on fixed joints to the links that move them.
+
+    Goes from the leaves to the base.
+    """
     links = {link.get("name"): link for link in root.findall("link")}
     above = {_end(joint, "child"): joint for joint in root.findall("joint")}
 

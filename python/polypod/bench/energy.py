@@ -1,4 +1,7 @@
-"""Energy that a machine tells of: of its processors by Linux's powercap files, of NVIDIA's GPUs by `nvidia-smi`."""
+"""Energy counters of a machine.
+
+Linux's powercap files for processors, `nvidia-smi` for NVIDIA's GPUs.
+"""
 
 import shutil
 import subprocess
@@ -16,7 +19,7 @@ _JOULES_PER_WATT_HOUR = 3600.0
 
 
 class Meter:
-    """Adds up the energy of processors and GPUs between `resume` and `pause`, of those that can be read."""
+    """Adds up the energy of readable processors and GPUs between `resume` and `pause`."""
 
     def __init__(self, gpus: bool = False, powercap: Path = POWERCAP) -> None:
         """Stands still until `resume`.
@@ -69,7 +72,10 @@ class Meter:
         self._sampler = self._samples = None
 
     def watt_hours(self) -> dict[str, float]:
-        """Energy until the last pause of `PROCESSORS` and `GPUS`; those that the machine does not tell are left out."""
+        """Energy until the last pause, by `PROCESSORS` and `GPUS`.
+
+        Counters that the machine does not show are left out.
+        """
         return {name: joules / _JOULES_PER_WATT_HOUR for name, joules in self._joules.items()}
 
     def _counters(self) -> dict[Path, int]:
@@ -80,7 +86,10 @@ class Meter:
 
 
 def _number(path: Path) -> int | None:
-    """The number in a file; None where it cannot be read: most machines show counters to the administrator alone."""
+    """The number in a file; None where it cannot be read.
+
+    Most machines show counters to the administrator alone.
+    """
     try:
         return int(path.read_text())
     except (OSError, ValueError):
@@ -88,7 +97,9 @@ def _number(path: Path) -> int | None:
 
 
 def _watts(output: str) -> float | None:
-    """Mean power of all GPUs together, of samples with a line "index, watts" for each GPU; None without a sample.
+    """Mean power of all GPUs together; None without a sample.
+
+    A sample has a line "index, watts" for each GPU.
 
     A GPU that does not tell its power, "[N/A]", counts nothing.
     """

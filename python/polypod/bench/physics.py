@@ -1,4 +1,6 @@
-"""Physics alone: `polypod.Simulation`, `mujoco.rollout` and `mujoco.batch` on the same robot and the same targets.
+"""Physics alone: `polypod.Simulation`, `mujoco.rollout` and `mujoco.batch`.
+
+All step the same robot towards the same targets.
 
 All have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
 settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms
@@ -41,7 +43,10 @@ def _targets(robot: robots.Robot, num_envs: int, seed: int) -> Iterator[robots.A
 
 
 def polypod(name: str, num_envs: int, threads: int, seed: int, engine: str = "articulated") -> Sample:
-    """20 ms of every env, all shapes touching the ground, without contact among the robot's links, as in MuJoCo."""
+    """Steps every env for 20 ms, all shapes touching the ground.
+
+    Links of the robot do not touch each other, as in MuJoCo.
+    """
     robot = robots.load(name)
     sim = _core.Simulation(
         name, num_envs, dt=DT, threads=threads, friction=FRICTION, engine=engine, self_collision=False
@@ -120,7 +125,10 @@ def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
 
 
 def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Reference, list[int]]:
-    """MuJoCo, the robot, its model in the default pose, and for each actuator the joint's place in polypod's order."""
+    """MuJoCo, the robot, its model in the default pose, and the joint of each actuator.
+
+    Joints are places in polypod's order.
+    """
     mj = mujoco()
     robot = robots.load(name)
     reference = Reference.of(robot, dt=DT, integrator="implicitfast", ground=Ground(FRICTION))
@@ -139,7 +147,7 @@ def _settled(sample: Sample, state: robots.Array, name: str) -> Sample:
 
 
 def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> None:
-    """Takes back what makes MuJoCo's contacts stiff for comparisons of accuracy, and leaves contacts to the feet."""
+    """Undoes the stiff contacts of accuracy comparisons, and leaves contacts to the feet."""
     model.opt.cone = mj.mjtCone.mjCONE_PYRAMIDAL
     model.opt.impratio = 1.0
     model.geom_solref[:] = [0.02, 1.0]

@@ -134,7 +134,7 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
 
 
 def task_of(name: str) -> str:
-    """The flat task if it has the robot, else the one that has a reward set for every robot of the library."""
+    """The flat task if it has the robot, else the one with a reward set for every robot."""
     return "velocity_flat" if name in _core.task_robots("velocity_flat") else "velocity_flat_legged"
 
 

@@ -1,4 +1,4 @@
-"""Whole control steps through the Python vector env: actions in, observations, rewards and resets out."""
+"""Whole control steps of the Python vector env: actions, observations, rewards and resets."""
 
 from collections.abc import Sequence
 

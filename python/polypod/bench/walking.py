@@ -139,7 +139,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _spent(run: Mapping[str, Any]) -> tuple[float, ...]:
-    """Million samples, seconds, seconds with start-up, and watt-hours where the machine tells them."""
+    """Million samples, seconds, seconds with start-up, and watt-hours where they are known."""
     energy_ = [sum(run["watt_hours"].values())] if run["watt_hours"] else []
     return (run["samples"] / 1e6, run["seconds"], run["seconds"] + run["startup_s"], *energy_)
 

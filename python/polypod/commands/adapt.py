@@ -26,7 +26,7 @@ MAX_NEIGHBOURS = 1000
 
 @dataclasses.dataclass(frozen=True)
 class Adapt:
-    """Let a policy learn to walk with one robot: from a bundled one to one that walks, in minutes."""
+    """Let a bundled policy learn to walk with one robot, in minutes."""
 
     robot: Annotated[str, tyro.conf.Positional, arg(metavar="ROBOT")]
     """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a config is drafted."""
@@ -59,7 +59,10 @@ class Adapt:
     """Changes the task's configuration, or with train. before the key the train config. May be repeated."""
 
     def run(self) -> int:
-        """Runs the command and returns its exit code: 0 if the robot walks, 3 if it does not within the time."""
+        """Runs the command.
+
+        Returns its exit code: 0 if the robot walks, 3 if it does not within the time.
+        """
         self._check()
         import torch
 

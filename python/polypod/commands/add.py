@@ -13,7 +13,7 @@ from polypod.commands.arguments import Feet, Locks, Name, PackageDirs, Roles, ar
 
 @dataclasses.dataclass(frozen=True)
 class Add:
-    """Add a robot to your library, from a URDF, xacro or MJCF file, a folder or zip file, or another package."""
+    """Add a robot from a URDF, xacro or MJCF file, a folder, a zip file, or another package."""
 
     source: Annotated[str, tyro.conf.Positional]
     """The file, folder or zip file, robot_descriptions:NAME or mujoco_menagerie:NAME."""

@@ -15,7 +15,7 @@ NUM_ENVS = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    """Measure the speed of the physics, with MuJoCo's in the same run, or the speed of trainings."""
+    """Measure the speed of the physics, with MuJoCo's in the same run, or of trainings."""
 
     learner: bool = False
     """Measure instead where an iteration of a training goes, for every learner of this machine."""

@@ -11,7 +11,7 @@ from polypod.commands.arguments import arg, names, positive
 
 @dataclasses.dataclass(frozen=True)
 class Bodies:
-    """Draw bodies that nobody built, as a library of robots: `polypod bodies generate FOLDER --count 1000`."""
+    """Generate random robots as a library: `polypod bodies generate FOLDER --count 1000`."""
 
     action: Annotated[Literal["generate"], tyro.conf.Positional]
     """generate: draw lengths, let masses, gains and poses follow, write URDFs, TOMLs and tasks of all."""

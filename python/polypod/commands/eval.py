@@ -11,7 +11,10 @@ from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, chec
 
 @dataclasses.dataclass(frozen=True)
 class Eval:
-    """Measure a trained policy and say which robots walk: no noise, no pushes, one full episode per env."""
+    """Measure a trained policy and say which robots walk.
+
+    No noise, no pushes, one full episode per env.
+    """
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of

@@ -31,7 +31,7 @@ class Info:
 
 
 def report() -> dict[str, str]:
-    """Versions of polypod and its packages, the machine, and the environment variables that polypod reads."""
+    """Versions of polypod and its packages, the machine, and polypod's environment variables."""
     from polypod.provenance import cpu, git_state
 
     core, state = _core.info(), git_state()

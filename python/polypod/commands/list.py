@@ -68,5 +68,5 @@ def _policies() -> list[dict[str, str]]:
 
 
 def _split(tasks: Sequence[Task]) -> tuple[list[Task], list[Task]]:
-    """Tasks with a file, and those that are made from one of these for a single robot, which have no other name."""
+    """Tasks with a file, and the single-robot tasks made from them, which have no other name."""
     return [task for task in tasks if task["aliases"]], [task for task in tasks if not task["aliases"]]

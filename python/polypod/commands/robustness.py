@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Robustness:
-    """Run a policy through a fixed battery of conditions, in polypod and in MuJoCo; MuJoCo needs export and bench.
+    """Run a policy through a fixed battery of conditions, in polypod and in MuJoCo.
+
+    MuJoCo needs export and bench.
 
     Exit code 3 when a robot misses a bound; docs/robustness.md lists conditions and bounds.
     """

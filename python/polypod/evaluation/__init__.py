@@ -1,4 +1,7 @@
-"""How well a policy walks: full episodes, deterministic, in the task's Play variant or as randomised in training."""
+"""Evaluation of policies.
+
+Full episodes, deterministic, in the task's Play variant or as randomised in training.
+"""
 
 from polypod.evaluation.checkpoints import command, evaluate_checkpoint, evaluate_checkpoints, gate_of_checkpoint
 from polypod.evaluation.results import FOLLOWS, CommandResult, Evaluation, RobotResult, TileResult

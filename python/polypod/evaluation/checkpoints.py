@@ -50,7 +50,10 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
 
 
 def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> dict[str, Gate]:
-    """`polypod.evaluation.gate.measure` for a checkpoint or an ONNX file, as `evaluate_checkpoint`."""
+    """`polypod.evaluation.gate.measure` for a checkpoint or an ONNX file.
+
+    Files are read as in `evaluate_checkpoint`.
+    """
     from polypod.policy import load  # it builds on this package
 
     task = arguments.pop("task", None)

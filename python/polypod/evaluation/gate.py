@@ -1,4 +1,6 @@
-"""The published gate of nanoG1 (kingjulio8238/nanoG1, RESULTS.md, 17 June 2026), measured here: `eval --gate`.
+"""The published gate of nanoG1, measured here: `eval --gate`.
+
+Source: kingjulio8238/nanoG1, RESULTS.md, 17 June 2026.
 
 A battery of six commands, each held for 20 s by four envs, counts falls and scores how well commands are followed. A
 walk ahead at 0.5 m/s for 40 s tells how smooth the motion is. `BOUNDS` are nanoG1's; commands and times are those of a

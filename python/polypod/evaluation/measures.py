@@ -1,4 +1,4 @@
-"""Measures of a control step, for all envs at once: float64 arrays of the state in, [num_envs] out."""
+"""Measures of a control step, for all envs: float64 arrays of the state in, [num_envs] out."""
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,9 @@ TRACKING_STD = 0.5
 
 
 def tracking(error_xy: npt.ArrayLike, error_yaw: npt.ArrayLike) -> Array:
-    """The reference's `track_lin_vel_xy_exp` and, half as much, `track_ang_vel_z_exp`, scaled to at most 1.
+    """The reference's `track_lin_vel_xy_exp` and `track_ang_vel_z_exp`, scaled to at most 1.
+
+    The second counts half as much.
 
     Args:
         error_xy: [num_envs], of the planar velocity, m/s.
@@ -57,7 +59,7 @@ def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, 
 
 
 def of_step(sim: _core.VecSim) -> dict[str, Array]:
-    """Everything that an evaluation sums up over an episode, each [num_envs], of the step just taken."""
+    """All measures that an evaluation sums up, each [num_envs], of the step just taken."""
     names = ("base_lin_vel", "base_ang_vel", "command", "joint_effort", "joint_vel", "contact_forces", "feet_vel")
     state = {name: sim.state(name).astype(np.float64) for name in names}
     wanted, velocity = state["command"], state["base_lin_vel"][:, :2]

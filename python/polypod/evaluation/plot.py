@@ -1,4 +1,4 @@
-"""Pictures of evaluations: bars per robot, and a map of each robot over the grid of commands or the tiles."""
+"""Pictures of evaluations: bars per robot, and maps over the grid of commands or the tiles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -69,7 +69,10 @@ def _draw_maps(part: Any, maps: dict[str, dict[str, Any]], rows: int) -> None:
 
 
 def _maps(evaluations: Sequence[Evaluation]) -> dict[str, dict[str, Any]]:
-    """Per robot a map: of the error over forward and left command, or of success over types and levels of tiles."""
+    """A map per robot.
+
+    The error over forward and left command, or success over types and levels of tiles.
+    """
     maps = {}
     for name, robot in evaluations[0].robots.items():
         results = [evaluation.robots[name] for evaluation in evaluations]

@@ -80,7 +80,7 @@ class RobotResult:
     """Figures of the definition of walking; None where the commands were not those of its schedule."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
-        """Share of the successful episodes on tiles of a type and level, or of all; NaN without any."""
+        """Share of successful episodes on tiles of a type and level, or of all; NaN without any."""
         tiles = [
             tile
             for name, tiles in self.terrain.items()
@@ -150,7 +150,7 @@ def _robot_from(content: Mapping[str, Any]) -> RobotResult:
 
 
 def finite(content: Any) -> Any:
-    """The same nested lists and dictionaries with None in the place of numbers that JSON has no word for."""
+    """The same nested lists and dictionaries, with None for numbers that JSON cannot hold."""
     if isinstance(content, dict):
         return {key: finite(value) for key, value in content.items()}
     if isinstance(content, (list, tuple)):

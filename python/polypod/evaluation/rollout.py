@@ -37,7 +37,7 @@ def play_task(task: str) -> str:
 
 
 def undisturbed(task: str, overrides: Sequence[str]) -> list[str]:
-    """`key=value` pairs that switch off what disturbs the robots of a task once `overrides` have changed it.
+    """`key=value` pairs that switch off the disturbances of a task as `overrides` change it.
 
     A training may have changed the noise or an event; on top of a Play variant, such a change would switch it on.
     """
@@ -204,7 +204,10 @@ def _commands(sim: _core.VecSim, grid: Grid) -> dict[str, npt.NDArray[np.float32
 
 
 def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], episode: int) -> npt.NDArray[np.float32]:
-    """[num_envs, 3], the commands of an episode: each robot's envs go on through the grid where the last one ended."""
+    """[num_envs, 3], the commands of an episode.
+
+    Each robot's envs go on through the grid where the last one ended.
+    """
     held = np.empty((sim.num_envs, 3), dtype=np.float32)
     for robot in sim.robots:
         start, stop = sim.env_ids(robot)
@@ -214,5 +217,5 @@ def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], ep
 
 
 def as_trained(play: str, trained: Sequence[str]) -> list[str]:
-    """Overrides that give a Play variant the noise and the events of the task that it is a variant of."""
+    """Overrides that give a Play variant the noise and the events of its task."""
     return [f"{key}=true" for key in _core.disturbances(_core.training_task(play), list(trained))]

@@ -21,7 +21,10 @@ CONFIDENCE = 0.95
 
 @dataclasses.dataclass(frozen=True)
 class Interval:
-    """A mean over seeds with Student's t interval; of one seed, which cannot have one, `low` and `high` are NaN."""
+    """A mean over seeds with Student's t interval.
+
+    `low` and `high` are NaN for one seed, which has no interval.
+    """
 
     mean: float
     low: float

@@ -140,7 +140,7 @@ class Schedule:
 
     @classmethod
     def elsewhere(cls, num_envs: int, steps: int) -> "Schedule":
-        """Commands that come from elsewhere, control step by control step: `Record.add` is told them."""
+        """Commands from elsewhere: `Record.add` is told them in each control step."""
         kinds = np.full((1, num_envs), BOX, dtype="U4")
         return cls(np.zeros((1, num_envs, 3), dtype=np.float32), kinds, steps, steps)
 
@@ -192,7 +192,10 @@ def kinds_of(ranges: Ranges) -> tuple[str, ...]:
 
 
 def _speed(low: float, high: float, is_left: bool, draw: float) -> float:
-    """Half to all of the largest speed to the left (positive) or right; of the other direction where there is none."""
+    """Half to all of the largest speed to the left (positive) or right.
+
+    If there is none, of the other direction.
+    """
     left = high >= LEAST_RANGE and (is_left or low > -LEAST_RANGE)
     return float(np.clip((high if left else low) * (0.5 + 0.5 * draw), low, high))
 
@@ -393,7 +396,10 @@ def figures(records: Sequence[Record], envs: slice = slice(None), kinds: Sequenc
 
 
 def _reached(here: npt.NDArray[np.bool_], mean: Array, asked: Array) -> float:
-    """The smaller of the mean shares of what is asked to the left and to the right; NaN without a whole segment."""
+    """The smaller of the mean achieved shares to the left and to the right.
+
+    NaN without a whole segment.
+    """
     sides = [mean[side] / asked[side] for side in (here & (asked > 0.0), here & (asked < 0.0)) if side.any()]
     return min((float(side.mean()) for side in sides), default=math.nan)
 
@@ -449,7 +455,9 @@ def walks(walking: Walking) -> bool:
 
 
 def shortfall(walking: Walking) -> float:
-    """How far a robot is from walking: 0 where it meets the bounds, and more the further figures lie beyond them.
+    """Distance of a robot from walking.
+
+    0 where it meets the bounds, and more the further figures lie beyond them.
 
     Each figure counts by the part of the way from its bound to its worst value, at most 1: falls to every episode,
     errors to those of a standing robot, a turn to no turn, drifts to twice their bounds. A figure that was not measured

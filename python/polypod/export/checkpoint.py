@@ -50,7 +50,7 @@ def export_checkpoint(
     fold: bool = False,
     formats: Sequence[Format] = ("onnx", "torchscript"),
 ) -> Export:
-    """Writes the policy of a checkpoint, and one graph per robot where robots are named or `fold` is set.
+    """Writes the policy of a checkpoint, with a graph per robot if named or `fold` is set.
 
     Args:
         checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
@@ -248,7 +248,7 @@ class _Writer:
         }
 
     def _described(self, name: str, size: int, meaning: str, robot: RobotInterface) -> dict[str, Any]:
-        """A tensor of a folded graph, with the names of its columns where they are joints or slots."""
+        """A tensor of a folded graph, with the names of columns that are joints or slots."""
         columns: dict[str, Sequence[str]] = dict.fromkeys(("last_action", "actions"), robot.action_names)
         columns |= dict.fromkeys(("joint_pos", "joint_vel", "joint_pos_target"), robot.joint_names)
         described = _tensor(name, size, meaning)
@@ -317,7 +317,10 @@ def compare(
     outputs: Sequence[str],
     memory: Mapping[str, states.Shape] = {},
 ) -> float:
-    """Largest difference of an ONNX graph from its torch module on random inputs, see `agreement.difference`."""
+    """Largest difference of an ONNX graph from its torch module on random inputs.
+
+    See `agreement.difference`.
+    """
     random = np.random.default_rng(0)
     shapes: dict[str, tuple[int, ...]] = {name: (_ROWS, size) for name, size in sizes.items()}
     shapes |= {name: states.full_shape(shape, _ROWS) for name, shape in memory.items()}

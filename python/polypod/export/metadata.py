@@ -44,7 +44,9 @@ def of_observation(terms: Sequence[Term], action_names: Sequence[str], run_path:
 
 
 def of_robot(robot: RobotInterface) -> dict[str, str]:
-    """A robot's numbers, joints in its own order: gains (N m/rad, N m s/rad), pose (rad), limits (rad, N m).
+    """A robot's numbers, joints in its own order.
+
+    Gains (N m/rad, N m s/rad), pose (rad), limits (rad, N m).
 
     The target of joint j of `action_joint_names` is `default_joint_pos[j] + action_scale[j] * actions[c]` with c of
     `action_columns`; all other targets are the default pose. `action_scale` has the joint's sign, and so have the

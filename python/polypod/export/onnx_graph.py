@@ -56,7 +56,10 @@ class Graph:
         return output
 
     def inline(self, network: OnnxNetwork, source: str, target: str) -> None:
-        """Adds the graph of an ONNX file from tensor `source` to tensor `target`, its other names behind `network_`."""
+        """Adds the graph of an ONNX file from tensor `source` to tensor `target`.
+
+        Its other names get the prefix `network_`.
+        """
         model = self.onnx.load_model_from_string(network.data)
         self.opsets |= {entry.domain.removeprefix("ai.onnx"): entry.version for entry in model.opset_import}
         if self.opsets[""] < OPSET:

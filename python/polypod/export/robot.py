@@ -1,4 +1,4 @@
-"""Interface of a policy and one robot: from its sensors to the observation, from the action to its joints."""
+"""Interface of a policy and one robot: sensors to observation, action to joints."""
 
 import dataclasses
 import json
@@ -100,7 +100,7 @@ class RobotInterface:
         return known or next(f"{term.description} {term.units}".strip() for term in self.terms if term.term == name)
 
     def lever(self) -> Array:
-        """[3, 3], `angular velocity @ lever` is the centre of mass' velocity about the base's origin."""
+        """[3, 3], maps an angular velocity to the centre of mass' velocity about the origin."""
         x, y, z = self.base_com
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.float32)
 
@@ -111,11 +111,14 @@ class RobotInterface:
         return spread
 
     def is_plain(self) -> bool:
-        """Whether the action has no columns but the robot's, and its joints turn as their slots do."""
+        """Whether the action has the robot's columns alone, and no joint's sign is turned."""
         return len(self.columns) == self.num_actions and bool((self.signs == 1.0).all())
 
     def gather(self) -> Array:
-        """[joints, num_actions], `joints @ gather` are their numbers in the policy's columns; 0 in those of others."""
+        """[joints, num_actions], maps numbers of joints to the policy's columns.
+
+        Columns of other joints get 0.
+        """
         gather = np.zeros((len(self.joint_names), self.num_actions), dtype=np.float32)
         gather[self.joint_of_slot, self.columns] = self.signs
         return gather

@@ -23,7 +23,7 @@ class Operations(Protocol[Value]):
         """Their sum."""
 
     def about_center_of_mass(self, rate: Value) -> Value:
-        """Velocity of the base's centre of mass about the base link's origin, for an angular velocity of the base."""
+        """Velocity of the centre of mass about the base link's origin, by the angular velocity."""
 
     def less_default_pose(self, positions: Value) -> Value:
         """Joint positions less the default pose, the robot's own order."""

@@ -46,7 +46,7 @@ def full_shape(shape: Shape, rows: int) -> tuple[int, ...]:
 
 
 def as_module(network: torch.nn.Module) -> torch.nn.Module:
-    """The deterministic network, from the observation and its states to the action and its next states."""
+    """The deterministic network: observation and states in, action and next states out."""
     if isinstance(network, RNNModel):
         return _Recurrent(network)
     if isinstance(network, OnnxNetwork) and network.states:

@@ -1,4 +1,7 @@
-"""Networks for rsl_rl, such as `class_name = "polypod.networks:UrmaModel"`, and how a saved one is built again."""
+"""Networks for rsl_rl, such as `class_name = "polypod.networks:UrmaModel"`.
+
+Also builds a saved one again.
+"""
 
 from collections.abc import Mapping
 from typing import Any

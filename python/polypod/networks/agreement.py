@@ -64,7 +64,7 @@ def expected(module: torch.nn.Module, inputs: Sequence[torch.Tensor], name: str)
 
 
 def difference(given: Sequence[npt.NDArray[np.float32]], wanted: Sequence[Expected]) -> float:
-    """Largest difference of a graph's outputs from those of its module, relative to the scales of their columns.
+    """Largest difference of a graph's outputs from its module's, relative to the columns' scales.
 
     It is infinite for other shapes, and NaN or infinite for numbers that are not finite.
     """
@@ -123,7 +123,7 @@ def _outputs(found: "torch.Tensor | tuple[torch.Tensor, ...]") -> list[npt.NDArr
 
 
 def _in_double(module: torch.nn.Module, inputs: Sequence[torch.Tensor]) -> list[npt.NDArray[np.float64]] | None:
-    """The outputs in float64; None for a module that computes in float32 alone, such as an ONNX file."""
+    """The outputs in float64; None for a float32-only module, such as an ONNX file."""
     try:
         found = copy.deepcopy(module).double()(*(value.double() for value in inputs))
     except Exception:  # from the module's own code, which need not know of float64

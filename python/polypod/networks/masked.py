@@ -1,4 +1,4 @@
-"""rsl_rl's perceptron for batches of different bodies: actions that a robot lacks count for nothing.
+"""rsl_rl's perceptron for batches of different bodies: missing actions count for nothing.
 
 The mask of an env's actions is data of its observations, the group `ACTION_MASK`, and so of the rollout. Weights and
 checkpoints are those of the plain perceptron.
@@ -61,7 +61,7 @@ class MaskedNormalization(EmpiricalNormalization):
     scale: torch.Tensor
 
     def __init__(self, shares: torch.Tensor) -> None:
-        """Normalises observations of which each number, [num_obs], exists in this share of the envs.
+        """Normalises observations whose numbers, [num_obs], exist in these shares of the envs.
 
         Statistics of a number that no env has stay as they are.
         """
@@ -89,7 +89,9 @@ class MaskedNormalization(EmpiricalNormalization):
 
 
 class MaskedGaussian(GaussianDistribution):
-    """A Gaussian over the actions that a robot has: density, entropy and divergence are sums over these alone.
+    """A Gaussian over the actions that a robot has.
+
+    Density, entropy and divergence are sums over these alone.
 
     Missing numbers have mean 0 and are 0.
     """

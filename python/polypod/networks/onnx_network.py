@@ -55,7 +55,7 @@ class OnnxNetwork(torch.nn.Module):
         """The graph holds its normaliser, if it has one."""
 
     def forward(self, observations: torch.Tensor | TensorDict) -> torch.Tensor:
-        """Actions [batch, num_actions] for observations [batch, num_obs], or for their group `policy`."""
+        """Actions [batch, num_actions] for observations [batch, num_obs] or the group `policy`."""
         rows = observations if isinstance(observations, torch.Tensor) else observations["policy"]
         for state, shape in self.states.items():
             wanted = (shape[0], len(rows), *shape[1:])

@@ -66,7 +66,7 @@ class NetworkPolicy:
             return actions
 
     def reset(self, ends: npt.NDArray[np.bool_] | None = None) -> None:
-        """Forgets what the envs of the mask have seen, [num_envs]; None: all, of whatever number."""
+        """Forgets the past of the envs of the mask, [num_envs]; None: of all, of any number."""
         if isinstance(self.network, RNNModel | OnnxNetwork):
             with torch.inference_mode():
                 self.network.reset(None if ends is None else torch.from_numpy(ends.astype(np.int64)))

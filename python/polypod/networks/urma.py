@@ -63,7 +63,7 @@ class JointCounts(NamedTuple):
 
 
 class _Joints(NamedTuple):
-    """The joints of a batch, one row each: the real ones alone, or all places where that is as cheap."""
+    """The joints of a batch, one row each: the real ones, or all places where that is as cheap."""
 
     states: torch.Tensor
     """[rows, numbers], scaled."""
@@ -220,7 +220,10 @@ class JointNetwork(torch.nn.Module):
             return logarithms.exp().clamp(*STD_RANGE)
 
     def update(self, observations: torch.Tensor) -> None:
-        """Takes observations [batch, num_obs] into the running means and deviations: of joints, the real ones alone."""
+        """Takes observations [batch, num_obs] into the running means and deviations.
+
+        Statistics of joints count real joints alone.
+        """
         if not self.normalize:
             return
         rows = self._features(observations).flatten(0, 1)
@@ -317,7 +320,7 @@ def _logarithms(numbers: torch.Tensor) -> torch.Tensor:
 
 @contextlib.contextmanager
 def counted(models: Iterable[torch.nn.Module], counts: JointCounts | None) -> Iterator[None]:
-    """Tells networks of joints how many joints their batches have, so that they do not wait for a GPU to count them.
+    """Tells networks of joints their batches' numbers of joints, which saves waits for a GPU.
 
     Args:
         models: networks, of which those of joints are told.

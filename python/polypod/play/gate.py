@@ -149,7 +149,7 @@ class Gate:
 
 
 def offers(handle: Any, value: Any) -> bool:
-    """Whether a control of viser's offers a value: one of its options, a number of its range, or yes and no."""
+    """Whether a control of viser's offers a value: an option, a number in range, yes or no."""
     if handle.disabled:
         return False
     options = getattr(handle, "options", None)

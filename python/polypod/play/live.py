@@ -226,7 +226,10 @@ class Live:
         self.steer(self.own + change)
 
     def open(self, choice: Choice) -> None:
-        """Simulates something else from now on; what cannot be simulated is told on the page and changes nothing."""
+        """Simulates something else from now on.
+
+        An error is shown on the page and changes nothing.
+        """
         if self._build is None or choice == self.choice:
             return
         try:
@@ -280,7 +283,7 @@ class Live:
 
 
 def columns_of(player: Player) -> int | None:
-    """Robots side by side in the opening shot: a block that is twice as wide as it is deep; None: no block."""
+    """Robots side by side in the opening shot: a block twice as wide as deep; None: no block."""
     if not player.alone:
         return None
     return int(np.ceil(np.sqrt(2.0 * player.sim.num_envs)))

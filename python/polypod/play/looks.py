@@ -57,7 +57,10 @@ class Model:
 
 
 def accent(index: int) -> Color:
-    """The colour of the robot at a place among others: orange, then as far from the last ones as there are."""
+    """The colour of the robot at a place among others.
+
+    Orange, then as far from the last ones as there are.
+    """
     hue = (0.08 + 0.375 * index) % 1.0
     red, green, blue = colorsys.hls_to_rgb(hue, 0.52, 0.68)
     return round(255 * red), round(255 * green), round(255 * blue)
@@ -135,7 +138,7 @@ def _arc(radius: float, height: float, start: float, stop: float) -> list[tuple[
 
 
 def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
-    """The solid that a profile (height, distance), from bottom to top, makes when it turns about z."""
+    """The solid of revolution of a profile (height, distance), from bottom to top, about z."""
     angles = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
     heights, radii = np.array(profile).T
     grid = np.stack(

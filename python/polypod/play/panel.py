@@ -297,7 +297,7 @@ class Panel:
 
 
 def _wide(ranges: Any) -> list[tuple[float, float]]:
-    """Ranges of sliders: where a task has one value only there is still something to slide along."""
+    """Ranges of sliders: a task with one value only still gets a range to slide along."""
     return [(float(low), float(high)) if high > low else (float(low), float(low) + 0.05) for low, high in ranges]
 
 

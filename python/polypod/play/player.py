@@ -109,7 +109,7 @@ class Player(Scene):
             self.sim.reset()
 
     def command(self, command: npt.ArrayLike | None) -> None:
-        """From now on all robots are to follow this: forward and left velocity, m/s, and yaw rate, rad/s.
+        """Sets the command of all robots: forward and left velocity, m/s, and yaw rate, rad/s.
 
         None lets the task draw commands again.
         """
@@ -120,7 +120,10 @@ class Player(Scene):
             self.sim.set_command(np.tile(np.asarray(command, dtype=np.float32), (self.sim.num_envs, 1)))
 
     def use(self, policy: Policy) -> None:
-        """Takes another policy for the same observations, and begins new episodes as this player's first ones were."""
+        """Takes another policy for the same observations.
+
+        Begins new episodes as this player's first ones began.
+        """
         self._policy = policy
         self.sim.reset(self.sim.seed)
         if self._commanded is not None:
@@ -142,7 +145,9 @@ class Player(Scene):
             self.places, self._gone = self._slots.copy(), np.zeros(2)
 
     def stand(self, columns: int) -> None:
-        """Draws robots in rows of this length, and lets a robot that restarts do so in its place among the others.
+        """Draws robots in rows of this length.
+
+        A robot that restarts does so in its place among the others.
 
         Useful only where each env has a separate flat world (`alone`).
         """
@@ -150,7 +155,10 @@ class Player(Scene):
         self.places, self._gone = self._slots.copy(), np.zeros(2)
 
     def rest(self, robot: str) -> tuple[Array, Array]:
-        """Positions [links, 3], m, and quaternions [links, 4] of a robot's links with all joints at zero, base axes."""
+        """Positions and quaternions of a robot's links with all joints at zero, base axes.
+
+        Returns [links, 3], m, and [links, 4].
+        """
         source = self.sources[self.sim.robots.index(robot)]
         sim = _core.Simulation(source, ground=None, fixed_base=True, threads=1)
         sim.set_state(qpos=np.zeros(sim.nq))
@@ -158,7 +166,7 @@ class Player(Scene):
         return position[0], quaternion[0]
 
     def _stay_together(self, began: npt.NDArray[np.bool_]) -> None:
-        """Draws robots that have just begun an episode in their places of a group that has gone on."""
+        """Draws robots that have just restarted in their places of a group that has gone on."""
         if self._slots is None:
             return
         base = self.sim.state("base_pos")[:, :2].astype(np.float64)

@@ -1,4 +1,4 @@
-"""History of an env over the last seconds, for plots of command against velocity and of reward terms."""
+"""History of an env over the last seconds, for plots of velocities and of reward terms."""
 
 import numpy as np
 import numpy.typing as npt

@@ -165,7 +165,7 @@ def _address(viewer: Viewer, task: str) -> str:
 def _check_offered(
     choice: Choice, first: Choice, policies: Sequence[str], tasks: Sequence[str], robots: Sequence[str]
 ) -> None:
-    """Raises ConfigError for what the page does not list: a name may be a path, and a page opens no files."""
+    """Raises ConfigError for names that the page does not list: it opens no files by path."""
     offered = {
         "policy": choice.policy in policies,
         "task": choice.task in (None, first.task, *tasks),
@@ -177,7 +177,7 @@ def _check_offered(
 
 
 def _policies(checkpoint: Path) -> dict[str, Path]:
-    """Policies that the page offers: the given one, others of its training, and those that come with polypod."""
+    """Policies that the page offers: the given one, its training's others, and bundled ones."""
     known = {bundled.checkpoint(name): f"bundled: {name}" for name in bundled.NAMES}
     files = {known.get(checkpoint, checkpoint.name): checkpoint}
     others = sorted(checkpoint.parent.glob("model_*.pt"), key=lambda file: (len(file.name), file.name))

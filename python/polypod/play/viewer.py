@@ -162,7 +162,10 @@ class Viewer:
             avatar.show_name(visible)
 
     def follow(self, what: int | str) -> None:
-        """Lets the view go with a robot of the frame, `GROUP` or `NOTHING`, and begins with the opening shot of it."""
+        """Lets the view follow a robot of the frame, `GROUP` or `NOTHING`.
+
+        Begins with the opening shot of it.
+        """
         self.followed = what
         if what == NOTHING:
             return
@@ -327,7 +330,7 @@ def _url(host: str, port: int) -> str:
 
 
 def _own_address(host: str) -> str:
-    """An address at which other machines reach this one: that of its way to the internet, else its name."""
+    """An address at which other machines reach this one: its way to the internet, or its name."""
     family, target = (socket.AF_INET6, "2001:db8::1") if host == "::" else (socket.AF_INET, "192.0.2.1")
     try:
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
@@ -340,7 +343,7 @@ def _own_address(host: str) -> str:
 
 
 def _check_host(host: str) -> None:
-    """Raises ConfigError for an address that is not this machine's: viser's thread would end without a word."""
+    """Raises ConfigError for an address of another machine: viser's thread would end silently."""
     try:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as probe:

@@ -60,7 +60,10 @@ class Film:
         self._tell()
 
     def _tell(self) -> None:
-        """Says which frame was drawn: on a terminal each one in the same line, elsewhere one every `INTERVAL`."""
+        """Says which frame was drawn.
+
+        A terminal gets all of them in the same line, other outputs one every `INTERVAL`.
+        """
         of_all = "" if self._expected is None else f" of {max(self._expected, len(self._frames))}"
         text = f"{self.path.name}: frame {len(self._frames)}{of_all}"
         if sys.stderr.isatty():

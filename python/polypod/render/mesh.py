@@ -120,7 +120,10 @@ def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
 
 
 def floor(openings: Sequence[Array], half: float) -> Mesh:
-    """The plane at height zero up to `half` from the origin, m, without rectangles that are given by their outlines."""
+    """The plane at height zero up to `half` from the origin, m, without some rectangles.
+
+    Their outlines are given.
+    """
     cuts = []
     for axis in (0, 1):
         edges = [corner[axis] for outline in openings for corner in outline]
@@ -179,7 +182,7 @@ def _arc(radius: float, start: float, stop: float) -> list[tuple[float, float]]:
 
 
 def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
-    """The solid that a profile (height, distance), from bottom to top, makes when it turns about z."""
+    """The solid of revolution of a profile (height, distance), from bottom to top, about z."""
     angles = np.linspace(0.0, 2.0 * np.pi, ROUND + 1)
     heights, radii = np.array(profile).T
     grid = np.zeros((ROUND + 1, len(profile), 3))
@@ -190,7 +193,7 @@ def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
 
 
 def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
-    """Triangles whose edges are at most `LARGEST_FACE` long, or a `MOST_CUTS`th of what they were."""
+    """Triangles with edges of at most `LARGEST_FACE` or a `MOST_CUTS`th of their length."""
     corners = vertices[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     pieces = np.clip(np.ceil(longest / LARGEST_FACE), 1, MOST_CUTS).astype(np.intp)

@@ -1,4 +1,4 @@
-"""Pictures of a frame without a display or a graphics card: flat polygons from far to near, drawn by Pillow."""
+"""Pictures without a display or a graphics card: flat polygons from far to near, by Pillow."""
 
 import functools
 import math
@@ -72,7 +72,7 @@ def follow(scene: Scene, frame: Frame, size: tuple[int, int]) -> Camera:
 
 
 def follow_one(scene: Scene, robot: RobotFrame, size: tuple[int, int]) -> Camera:
-    """A camera that looks at one robot from its front left and above, over whatever ground is between."""
+    """A camera that looks at one robot from its front left and above, over any ground."""
     wide = min(1.0, size[0] / size[1])
     distance = 0.5 * CLOSE_UP * scene.reach[robot.name] / (wide * np.tan(np.radians(0.5 * Camera.field_of_view)))
     x, y, z = (float(value) for value in robot.position[0])
@@ -89,7 +89,9 @@ def follow_one(scene: Scene, robot: RobotFrame, size: tuple[int, int]) -> Camera
 
 
 def picture(scene: Scene, frame: Frame, size: tuple[int, int] = (640, 360)) -> "Image":
-    """Draws a frame of a film: all robots in a row or, on terrain, each robot from nearby in a separate field.
+    """Draws a frame of a film.
+
+    All robots in a row or, on terrain, each robot from nearby in a separate field.
 
     Raises:
         ConfigError: where Pillow is missing.
@@ -112,7 +114,7 @@ def picture(scene: Scene, frame: Frame, size: tuple[int, int] = (640, 360)) -> "
 
 
 def fields(count: int, size: tuple[int, int]) -> tuple[int, int]:
-    """Columns and rows that show `count` robots in fields of a good shape, with few of them left empty."""
+    """Columns and rows that show `count` robots in fields of a good shape, few of them empty."""
 
     def loss(columns: int) -> float:
         rows = -(-count // columns)

@@ -29,7 +29,7 @@ class _Layer:
     """Faces of which each pixel knows the nearest."""
 
     def __init__(self, lens: Lens, corners: Array, colors: Array) -> None:
-        """Draws faces with corners [n, 4, 3], m, and colours [n, 3], all of which look at the camera."""
+        """Draws faces with corners [n, 4, 3], m, and colours [n, 3]; all face the camera."""
         pixels, depths = lens.project(corners)
         seen = depths.min(axis=1) > NEAR
         for axis in range(2):

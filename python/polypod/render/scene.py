@@ -128,7 +128,7 @@ class Scene:
         """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their heights are zero."""
 
     def formation(self, columns: int) -> Array:
-        """Places in rows of `columns` envs, [envs, 3], m: rows across x, in the order of the envs."""
+        """Places in rows of `columns` envs, [envs, 3], m: rows across x, in the envs' order."""
         count = self.sim.num_envs
         rows = -(-count // columns)
         row, column = np.divmod(np.arange(count), columns)
@@ -138,7 +138,7 @@ class Scene:
         return self._spacing * np.column_stack([0.5 * (rows - 1) - row, across, np.zeros(count)])
 
     def obstacle_places(self, frame: Frame) -> list[Array]:
-        """Where the obstacles stand: once in a world that all envs share, else around each env's origin, m."""
+        """Places of the obstacles, m: once in a shared world, else around each env's origin."""
         if not self.obstacles:
             return []
         return [np.zeros(3)] if self.shared else [robot.place for robot in frame.robots]

@@ -1,4 +1,6 @@
-"""A fixed battery of conditions: friction, payload, worn motors, delays, pushes, wrong descriptions, sudden commands.
+"""A fixed battery of conditions.
+
+Friction, payload, worn motors, delays, pushes, wrong descriptions, sudden commands.
 
 `polypod robustness` runs a policy through it, in polypod and in MuJoCo. The conditions are entries of
 `conditions.CONDITIONS`; each says how it changes a robot in either simulator and what is allowed in it.

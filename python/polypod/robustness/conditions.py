@@ -28,7 +28,10 @@ class Bound:
     """Whether it also has to walk, see `polypod.evaluation.walking`."""
 
     def of(self, body: Body) -> "Bound":
-        """The bound of a robot: bipeds and humanoids may miss twice as much, by all but the definition of walking."""
+        """The bound of a robot.
+
+        Bipeds and humanoids may miss twice as much, by all but the definition of walking.
+        """
         if not body.is_upright:
             return self
         return dataclasses.replace(

@@ -1,4 +1,7 @@
-"""The battery in MuJoCo: each robot and condition for itself, on the twin of `polypod.sim2sim` or a maker's model."""
+"""The battery in MuJoCo, each robot and condition separately.
+
+It runs on the twin of `polypod.sim2sim` or a maker's model.
+"""
 
 import dataclasses
 import threading

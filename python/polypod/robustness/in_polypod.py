@@ -54,7 +54,7 @@ class Setting:
         )
 
     def sim(self, num_envs: int, changes: Sequence[str] = (), *, randomized: bool = False) -> _core.VecSim:
-        """A simulation with `num_envs` of each robot, as `polypod eval` makes it, and with these changes last."""
+        """A simulation with `num_envs` of each robot, as in `polypod eval`, and these changes."""
         switches = as_trained(self.task, self.trained) if randomized else undisturbed(self.task, self.trained)
         return _core.VecSim(
             self.task,
@@ -73,7 +73,7 @@ class Setting:
 
 
 def changes_of(condition: Condition, robots: Mapping[str, Body], physics_dt: float) -> list[str]:
-    """The `key=value` pairs of a condition for these robots, whose physics steps are of `physics_dt`, s."""
+    """`key=value` pairs of a condition for these robots; physics steps are of `physics_dt`, s."""
     pairs = [pair for body in robots.values() for pair in condition.overrides(body)]
     if condition.delay_s > 0.0:
         pairs += overrides.delay(round(condition.delay_s / physics_dt))
@@ -83,7 +83,10 @@ def changes_of(condition: Condition, robots: Mapping[str, Body], physics_dt: flo
 def schedules_of(
     condition: Condition, sim: _core.VecSim, robots: Mapping[str, Body], steps: int, seed: int
 ) -> tuple[Schedule, list[str]]:
-    """The commands of all envs, and the robots whose command boxes have none of that kind: theirs are zero."""
+    """The commands of all envs, and the robots whose command boxes have none of that kind.
+
+    The commands of these are zero.
+    """
     parts, lacking = [], []
     for name, body in robots.items():
         start, end = sim.env_ids(name)

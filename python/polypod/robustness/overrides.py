@@ -1,4 +1,4 @@
-"""Changes of a robot in polypod: each function returns one that gives the `key=value` pairs of a robot."""
+"""Changes of a robot in polypod: each function returns one that gives its `key=value` pairs."""
 
 from collections.abc import Callable
 
@@ -70,7 +70,7 @@ def torque(share: float) -> Overrides:
 
 
 def delay(steps: int) -> list[str]:
-    """Physics steps by which the targets of all robots come late, on top of the actuators' own delays."""
+    """Delay of all robots' targets in physics steps, on top of the actuators' own delays."""
     return [
         "events.action_delay.enabled=true",
         'events.action_delay.mode="reset"',

@@ -58,7 +58,10 @@ class Row:
 
     @property
     def worst(self) -> str | None:
-        """The robot that is farthest from its bounds: with a fault before one without, then by falls and turns."""
+        """The robot farthest from its bounds.
+
+        One with a fault comes before one without, then by falls and turns.
+        """
 
         def badness(name: str) -> tuple[float, ...]:
             cell = self.robots[name]

@@ -201,7 +201,7 @@ def _in_mujoco(
 
 
 def _condims(condition: Condition, options: Options) -> tuple[int, ...]:
-    """Dimensions of MuJoCo's contacts; those of a maker's model stay, unless the condition is about them."""
+    """Dimensions of MuJoCo's contacts; a maker's model keeps its own, unless varied."""
     if options.condims is not None:
         return options.condims
     is_of_contacts = 3 not in condition.condims

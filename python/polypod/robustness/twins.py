@@ -1,4 +1,6 @@
-"""Changes of a robot in MuJoCo: each function returns one that changes a twin or a maker's model before its first step.
+"""Changes of a robot in MuJoCo.
+
+Each function returns one that changes a twin or a maker's model before its first step.
 
 Each has a separate compiled model. `run` computes MuJoCo's derived constants again after the
 change.

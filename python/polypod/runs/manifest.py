@@ -95,7 +95,7 @@ class BodyManifest(TypedDict):
 
 
 class TermsManifest(TypedDict):
-    """The Python file whose terms a run was trained with: a copy lies in `params/`, and nothing runs it."""
+    """The Python file of terms of a run: a copy lies in `params/`, and nothing runs it."""
 
     file: Name
     sha256: Sha256
@@ -150,7 +150,7 @@ ONNX_KEYS = tuple(key for key in OnnxManifest.__annotations__ if key != "format"
 
 
 class ExportManifest(TypedDict):
-    """`policy.json` of an export, or that of a graph folded for a robot: what is read of it in Python."""
+    """`policy.json` of an export or of a folded graph: the parts that Python reads."""
 
     format: Literal[1]
     files: dict[str, Sha256]

@@ -29,7 +29,7 @@ class PythonTerms:
 
 
 def load(path: Path) -> PythonTerms:
-    """Runs a file and takes its dicts `rewards` and `terminations`, see `polypod.terms.CustomTerms`.
+    """Runs a file for its dicts `rewards` and `terminations`, see `polypod.terms.CustomTerms`.
 
     Raises:
         ConfigError: for a file that cannot be read or run, and for one that defines neither.

@@ -71,7 +71,9 @@ def create(log_dir: Path, experiment: str, run_name: str | None) -> Path:
 
 
 def find_checkpoint(log_dir: Path, run: str) -> Path:
-    """The checkpoint that `run` names: "latest", a checkpoint file, a run's directory, or its name or the end of it.
+    """The checkpoint that `run` names.
+
+    "latest", a checkpoint file, a run's directory, or its name or the end of it.
 
     The end of a name, such as the --run-name of the training, must be that of one run alone.
 
@@ -319,7 +321,7 @@ def remove_checkpoint(path: Path) -> None:
 
 @contextlib.contextmanager
 def locked(run: Path) -> Iterator[None]:
-    """Keeps other trainings out of a run's directory, and clears away what a killed one left half written.
+    """Locks a run's directory against other trainings, and clears a killed one's leftovers.
 
     Raises:
         ConfigError: where another training is at it.
@@ -410,7 +412,7 @@ def _trained_bodies(sim: _core.VecSim, robots: list[str] | None, overrides: list
 
 
 def _joint_map(info: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each slot's name, column, joint, the joint's index and whether it turns the other way (-1)."""
+    """Per slot: name, column, joint, joint index, and whether it turns the other way (-1)."""
     names, joints = info["joint_names"], info["joint_of_slot"]
     rows = zip(info["slots"], info["columns"], joints, info["slot_signs"], strict=True)
     return [
@@ -425,7 +427,7 @@ def _checkpoints(run: Path) -> list[Path]:
 
 
 def source(name: str) -> str:
-    """How to find a robot or task again from any directory: its name, or the absolute path of its config."""
+    """A robot's or task's name, or the absolute path of its config, to find it again."""
     return str(real_path(name)) if name.endswith(".toml") else name
 
 

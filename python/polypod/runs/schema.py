@@ -71,7 +71,7 @@ class AlgorithmConfig:
 
 @dataclasses.dataclass(frozen=True)
 class AnnealConfig:
-    """`[anneal]`: what the goals of PPO become towards the end of a run, for a policy that explores less and less.
+    """`[anneal]`: values of PPO's goals at the end of a run, for ever less exploration.
 
     From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
     value here, which it has in the last iteration and after it.
@@ -141,7 +141,10 @@ class Goals(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ObsGroupsConfig:
-    """`[obs_groups]`: which of the task's observation groups each network sees, side by side, in rsl_rl's words."""
+    """`[obs_groups]`: observation groups that each network sees, side by side.
+
+    Names are rsl_rl's.
+    """
 
     actor: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
     critic: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
@@ -151,7 +154,7 @@ class ObsGroupsConfig:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RndConfig:
-    """`[rnd]`: random network distillation, a reward for observations that are new, in rsl_rl's words."""
+    """`[rnd]`: random network distillation, a reward for new observations, as in rsl_rl."""
 
     weight: float
     num_outputs: int = 1
@@ -198,7 +201,7 @@ class TrainConfig:
 
     @property
     def observed_groups(self) -> dict[str, list[str]]:
-        """The observation groups of each network, by rsl_rl's names of what the networks are for."""
+        """Observation groups of each network, by rsl_rl's names of the networks' purposes."""
         groups = self.obs_groups
         if self.distillation is not None:
             return {"student": [*groups.actor], "teacher": [*groups.teacher]}
@@ -218,14 +221,14 @@ class TrainConfig:
         )
 
     def with_teacher_located(self) -> "TrainConfig":
-        """The config with the absolute path of its teacher, so that a run goes on from any directory."""
+        """The config with the absolute path of its teacher, for runs from any directory."""
         if self.distillation is None:
             return self
         teacher = str(real_path(runs.resolve(Path(self.distillation.teacher))))
         return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
-        """The config with "auto" decided for this machine, so that a resumed run computes in the same way.
+        """The config with "auto" decided for this machine, so that a resumed run does the same.
 
         The learner must be resolved: the native one computes in f32, unless "on" asks for bfloat16 on a GPU.
         """
@@ -236,7 +239,7 @@ class TrainConfig:
         return dataclasses.replace(self, algorithm=dataclasses.replace(self.algorithm, mixed_precision=mode))
 
     def with_learner_resolved(self, learner: str | None, device_type: str = "cpu") -> "TrainConfig":
-        """The config with "auto" decided: the native learner where it knows the networks, else rsl_rl.
+        """The config with "auto" decided: the native learner if it knows the networks, else rsl_rl.
 
         Args:
             learner: what is to learn instead of what the config says; None: that.
@@ -262,7 +265,7 @@ class TrainConfig:
 
     @property
     def can_be_graphs(self) -> bool:
-        """Whether a `GraphRunner` learns this: PPO without [rnd], of networks without a recurrent state."""
+        """Whether a `GraphRunner` learns this: PPO without [rnd] and recurrent networks."""
         networks = (self.actor, self.critic)
         return self.rnd is None and self.distillation is None and all(of.class_name != RNN for of in networks)
 
@@ -396,7 +399,7 @@ def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Seq
 
 
 def _masked(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:
-    """The network as a batch of different bodies needs it, where some of its robots lack some of the actions."""
+    """The network for a batch of different bodies, whose robots may lack some actions."""
     model = network.model_cfg(sim, groups)
     # a network of joints reads off the observation which joints a robot has
     if sim is None or not sim.is_padded or model["class_name"] == URMA:

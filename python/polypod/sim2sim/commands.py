@@ -92,7 +92,7 @@ class Commands:
         )
 
     def at(self, step: int, heading: Array) -> npt.NDArray[np.float32]:
-        """[envs, 3], the commanded velocity in a control step, for robots that head to `heading` [envs], rad."""
+        """[envs, 3], the commanded velocity in a control step; `heading` [envs] is in rad."""
         draw = step // self.steps_per_draw
         error = (self.heading[draw] - heading + np.pi) % (2.0 * np.pi) - np.pi
         turning = np.where(

@@ -1,4 +1,4 @@
-"""Differences between a maker's model and polypod's robot, ranked by their effect on one step response.
+"""Differences between a maker's model and polypod's robot, ranked by effect on one response.
 
 polypod's robot in MuJoCo stands, then walks forward. Each item of the model (a mass, the armature, the friction of the
 feet) is taken over alone, the same commands are given, and the motions are compared. Items whose numbers are equal on
@@ -159,7 +159,7 @@ def _response(robots: Driven, start: tuple[Array, Array]) -> Response:
 
 
 def items(twin: Twin, model: Model, pose: Array) -> list[Item]:
-    """All items in which the model differs from polypod's robot, whose positions are `pose` [7 + joints]."""
+    """Differences of the model from polypod's robot, at the positions `pose` [7 + joints]."""
     ours = _Side(twin.reference.model, twin.reference.root, twin.robot, model, pose, is_ours=True)
     theirs = _Side(model.model, model.root, twin.robot, model, pose, is_ours=False)
     return [
@@ -453,7 +453,7 @@ def _actuators(twin: Twin, model: Model) -> list[Item]:
 
 
 def _leaves(side: _Side) -> dict[int, int]:
-    """The lowest shape that touches of each cluster at the end of a limb, in the default pose, by cluster."""
+    """Lowest touching shape of each cluster at a limb's end, in the default pose, by cluster."""
     mj, model = mujoco(), side.model
     data = mj.MjData(model)
     data.qpos[:] = model.qpos0

@@ -1,4 +1,6 @@
-"""Envs of one robot in MuJoCo, driven as a real robot would be: from its sensors through the exported policy.
+"""Envs of one robot in MuJoCo, driven like a real robot.
+
+From its sensors through the exported policy.
 
 Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and terminations are
 computed here from MuJoCo's state. The model comes from `polypod.sim2sim.twin` or from `polypod.sim2sim.maker`.
@@ -189,7 +191,7 @@ class Driven:
         return Observed(velocity[:, :2] + (rate @ self.interface.lever())[:, :2], rate[:, 2], fell)
 
     def refresh(self) -> None:
-        """Recomputes the constants that MuJoCo derives from the model, after some of its numbers changed."""
+        """Recomputes the constants that MuJoCo derives from the model, after a change of it."""
         model = self.reference.model
         self._mj.mj_setConst(model, self._mj.MjData(model))
 
@@ -228,7 +230,7 @@ class Driven:
         return at[:, 2] - ground
 
     def height_scan(self) -> Array:
-        """[envs, rays], height of the base's origin above the ground at the points where the scanner looks, m."""
+        """[envs, rays], height of the base's origin above the scanned points of the ground, m."""
         heading = heading_of(self.qpos)
         (cos, sin), points = (np.cos(heading)[:, None], np.sin(heading)[:, None]), self.interface.scan_points
         x, y = cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]
@@ -238,7 +240,7 @@ class Driven:
         return at[:, 2:] - ground
 
     def base_velocity(self) -> tuple[Array, Array]:
-        """Velocity of the base's origin, m/s, and its angular velocity, rad/s, both [envs, 3] in base axes."""
+        """Velocity of the base's origin, m/s, and angular velocity, rad/s, [envs, 3], base axes."""
         velocity = np.einsum("eji,ej->ei", rotations(self.qpos), self.qvel[:, :3])
         return velocity, self.qvel[:, 3:6]
 
@@ -269,7 +271,7 @@ class Driven:
         fell |= ~np.isfinite(self.qpos).all(axis=1)
 
     def _drive(self, data: Any, targets: Array, ranges: Array) -> None:
-        """Tells the actuators of an env their targets [joints], rad, and how much effort they may give [joints, 2]."""
+        """Sets the targets [joints], rad, and effort ranges [joints, 2] of an env's actuators."""
         self.reference.model.actuator_forcerange[:] = ranges
         data.ctrl[:] = targets
 

@@ -1,4 +1,6 @@
-"""Envs of a robot in somebody else's MuJoCo model of it, with that model's masses, contacts, joints and actuators.
+"""Envs of a robot in a maker's MuJoCo model of it.
+
+Masses, contacts, joints and actuators are the model's.
 
 The model stays as its file says, but for what is needed to stand on the ground and to follow the policy:
 

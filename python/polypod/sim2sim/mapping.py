@@ -207,7 +207,7 @@ class Match:
     joints: Mapping[int, Found]
 
     def differs(self, other: "Match") -> bool:
-        """Whether the other one pairs other joints, or counts one of them in the other direction."""
+        """Whether the other one pairs other joints, or counts a joint in the other direction."""
         return any(
             found.theirs != other.joints[joint].theirs or found.sign != other.joints[joint].sign
             for joint, found in self.joints.items()
@@ -527,7 +527,7 @@ def compared(
     root: int,
     held: Mapping[int, float],
 ) -> JointMap:
-    """The map with what sets the axes of its joints apart at `POSES` random poses within their ranges.
+    """The map with the angles between the joints' axes at `POSES` random poses in range.
 
     Args:
         found: the map.

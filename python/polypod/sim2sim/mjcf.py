@@ -1,4 +1,4 @@
-"""Reading a MuJoCo file (MJCF, or a URDF as MuJoCo reads it), which only MuJoCo itself understands in full.
+"""Reader of MuJoCo files (MJCF, or a URDF): only MuJoCo itself understands them in full.
 
 MuJoCo may end or hang on a file that was made to do so. `check` therefore lets another process compile the file first,
 within limits of time and memory; that process runs this file alone, so it imports nothing of polypod.

@@ -1,4 +1,4 @@
-"""The policy on a maker's MuJoCo model of its robot, compared with polypod under the same commands."""
+"""The policy on a maker's MuJoCo model, compared with polypod under the same commands."""
 
 import dataclasses
 import functools
@@ -141,7 +141,7 @@ class ModelComparison:
 
     @property
     def transfers(self) -> bool:
-        """Whether the robot keeps on the model to what its commands hold of the definition of walking."""
+        """Whether the robot on the model meets the clauses of walking that its commands hold."""
         return not self.why_not
 
     def as_dict(self) -> dict[str, Any]:
@@ -361,7 +361,7 @@ class Stage:
         return Played(figures, [] if by_phase is None else by_phase.figures())
 
     def start(self, model: Model) -> tuple[Array, Array]:
-        """The initial states of polypod, at heights at which the model's feet touch as polypod's do."""
+        """Initial states of polypod, at heights at which the model's feet touch as polypod's do."""
         return started(model, self.robot, *self.episode.start[self.name])
 
     def maker_of(self, model: Model, policy: FoldedPolicy | None = None, late: int = 0) -> Maker:
@@ -395,7 +395,10 @@ class Stage:
 
 
 def started(model: Model, robot: accuracy_robot.Robot, qpos: Array, qvel: Array) -> tuple[Array, Array]:
-    """The initial states [envs, nq] and [envs, nv], at heights at which the model's feet touch as polypod's do."""
+    """Initial states [envs, nq] and [envs, nv] of the model.
+
+    At their heights the model's feet touch as polypod's do.
+    """
     qpos = qpos.copy()
     ours = Reference.of(robot, dt=0.005)
     shapes = np.flatnonzero(ours.model.geom_bodyid > 0)

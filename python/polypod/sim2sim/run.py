@@ -1,4 +1,4 @@
-"""Both simulators over the same episodes: same initial states, same commands, same falls, same errors."""
+"""Both simulators over the same episodes: the same states, commands, falls and errors."""
 
 import dataclasses
 import functools
@@ -103,7 +103,7 @@ class RobotComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """Criteria of walking that the robot misses in MuJoCo, with numbers.
+        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if none.
 
         Empty if it transfers.
         """
@@ -465,14 +465,20 @@ def _combined_friction(task: dict[str, Any]) -> float:
 
 
 def _least_height(share: float, info: Mapping[str, Any]) -> float:
-    """Height of a base that has sunk to a share of its height, m: `MorphologyModel::least_height` of the simulator."""
+    """Height of a base that has sunk to a share of its height, m.
+
+    As `MorphologyModel::least_height` of the simulator.
+    """
     height: float = info["base_height"]
     hips = height + float(info.get("hip_height", 0.0))
     return share * height if height >= 0.5 * hips else height - (1.0 - share) * hips
 
 
 def _spin_friction(task: dict[str, Any]) -> dict[str, float]:
-    """Coefficients of torsional and rolling friction of a robot's nominal surface on the ground, m: the larger ones."""
+    """Coefficients of torsional and rolling friction between robot and ground, m.
+
+    The larger ones of both surfaces.
+    """
     surfaces = (task["scene"]["ground"], task["robot_material"])
     names = ("torsional_friction", "rolling_friction")
     return {name: max(float(surface.get(name, 0.0)) for surface in surfaces) for name in names}

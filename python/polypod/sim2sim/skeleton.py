@@ -53,7 +53,7 @@ class Skeleton:
 
 
 def joints_below(model: Any, root: int) -> list[int]:
-    """Numbers of the joints that turn or slide, below a body and in it, from the base to the feet."""
+    """Numbers of the joints that turn or slide, in a body and below it, base to feet."""
     mj = mujoco()
     kinds = (int(mj.mjtJoint.mjJNT_HINGE), int(mj.mjtJoint.mjJNT_SLIDE))
     return [

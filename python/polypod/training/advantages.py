@@ -1,4 +1,4 @@
-"""Advantages of different robots brought to one scale, so that each robot has its say in a shared update."""
+"""Scaling of advantages, so that each robot counts in a shared update."""
 
 import torch
 

@@ -1,4 +1,4 @@
-"""TensorBoard's curves, written by the training's own thread: whole records at every iteration, or later."""
+"""TensorBoard's curves, written by the training's own thread, in whole records."""
 
 import io
 import itertools

@@ -22,7 +22,7 @@ def limit(distribution: Any) -> None:
 
 
 def outside(distribution: Any) -> tuple[int, int]:
-    """Number of learnt deviations of a distribution that are outside that range, and number of all of them."""
+    """Number of a distribution's learnt deviations outside that range, and number of all."""
     if (learnt := _learnt(distribution)) is None:
         return 0, 0
     parameter, low, high = learnt
@@ -30,7 +30,10 @@ def outside(distribution: Any) -> tuple[int, int]:
 
 
 def of(distribution: Any) -> torch.Tensor | None:
-    """The learnt deviations that a distribution acts with, [num_actions]; None where they are a network's output."""
+    """A distribution's learnt deviations, [num_actions].
+
+    None where they are a network's output.
+    """
     if (learnt := _learnt(distribution)) is None:
         return None
     parameter, low, high = learnt

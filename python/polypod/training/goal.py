@@ -1,4 +1,7 @@
-"""Trainings that end when their robots walk: `train --until-walks`, `adapt` and `bench --walk` measure with it."""
+"""Trainings that end when their robots walk.
+
+Used by `train --until-walks`, `adapt` and `bench --walk`.
+"""
 
 import dataclasses
 import time
@@ -46,7 +49,7 @@ def rank(robots: Mapping[str, Walking], wanted: Collection[str]) -> tuple[int, f
 
 
 class UntilWalks:
-    """Measures a training at intervals and ends it when robots walk, by `polypod.evaluation.walking`.
+    """Measures a training at intervals by `polypod.evaluation.walking`; ends it when robots walk.
 
     The deterministic policy is measured in the Play variant of the training's task. Measurements
     leave the training's random numbers alone. The best of the measured checkpoints stays.
@@ -150,7 +153,7 @@ class UntilWalks:
 
 
 def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:
-    """A measurement in a line: how many robots walk, and the figures of the one that is farthest from it."""
+    """A measurement in a line: how many robots walk, and the figures of the worst one."""
     figures = {robot: point.robots[robot] for robot in wanted or point.robots}
     walking = sum(map(walks, figures.values()))
     name = max(figures, key=lambda robot: shortfall(figures[robot]))

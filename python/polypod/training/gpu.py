@@ -62,7 +62,7 @@ class GpuRunner(NativeRunner):
         self._update_of.take_moments(self.alg.optimizer)
 
     def _give_policy(self) -> None:
-        """Hands the networks that act and estimate to the native learner, and what they normalise by."""
+        """Hands the acting and the estimating network and statistics to the native learner."""
         for name in NETWORKS:
             parameters = self._parameters(name)
             flat = torch.nn.utils.parameters_to_vector(parameters).detach().cpu()
@@ -72,5 +72,5 @@ class GpuRunner(NativeRunner):
             self._give_normalizers(name)
 
     def _take_networks(self) -> None:
-        """Networks and statistics of the observations are rsl_rl's own; Adam's moments are the update's."""
+        """Networks and statistics of observations are rsl_rl's; Adam's moments the update's."""
         self._update_of.give_moments(self.alg.optimizer)

@@ -62,7 +62,7 @@ class Samples:
 
 
 def ask_policy(actor: MLPModel, observations: TensorDict) -> None:
-    """Updates the distribution of the actions, as the actor's forward does, which would draw actions too."""
+    """Updates the actions' distribution like the actor's forward, without sampling actions."""
     distribution = actor.distribution
     if isinstance(distribution, MaskedGaussian) and ACTION_MASK in observations.keys():  # noqa: SIM118
         distribution.mask = observations[ACTION_MASK]
@@ -208,7 +208,7 @@ class Update:
     def _with_images(
         self, index: torch.Tensor, observations: TensorDict, actions: torch.Tensor
     ) -> tuple[TensorDict, torch.Tensor, torch.Tensor | None]:
-        """Returns the batch with mirror images, and its rows that are no images; None: the first rows."""
+        """Returns the batch with mirror images, and its original rows; None: the first rows."""
         if self._mirror is None:
             return observations, actions, None
         both, both_actions = self._mirror.augment(self._env, observations, actions)

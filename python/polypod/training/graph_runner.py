@@ -1,4 +1,7 @@
-"""Training with rsl_rl's networks and PPO on a GPU, as CUDA graphs: any network without a recurrent state."""
+"""Training with rsl_rl's networks and PPO on a GPU, as CUDA graphs.
+
+Any network without a recurrent state will do.
+"""
 
 from typing import Any
 
@@ -14,7 +17,7 @@ from polypod.training.symmetry import Mirror
 
 
 class GraphRunner(Runner):
-    """A `Runner` that computes what rsl_rl's PPO computes, a launch for each control step and each mini-batch.
+    """A `Runner` with the results of rsl_rl's PPO: one launch per control step and mini-batch.
 
     On a CPU it computes the same without graphs.
     """

@@ -1,4 +1,6 @@
-"""Training with the native learner: policy, simulator and update take turns on the simulator's threads, in f32.
+"""Training with the native learner, in f32.
+
+Policy, simulator and update take turns on the simulator's threads.
 
 rsl_rl's networks and optimiser stay as the form in which a run is begun, saved and loaded. So a run may begin with one
 learner and go on with the other.

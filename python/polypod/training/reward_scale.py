@@ -1,4 +1,4 @@
-"""Rewards of different robots brought to one scale, so that no robot drowns the others in a shared learner."""
+"""Scaling of rewards, so that no robot drowns the others in a shared learner."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ EPSILON = 1e-8
 
 
 class RewardScale:
-    """Divides each robot's rewards by the running standard deviation of that robot's discounted return.
+    """Divides each robot's rewards by the running deviation of its discounted return.
 
     The reward sets of different robots differ in scale by more than ten, while one critic fits all returns and one
     update averages over all advantages. Scaling changes no robot's own preferences: its rewards keep their proportions.

@@ -99,7 +99,10 @@ class Rollout(Samples):
         self._draw_order()
 
     def deviations_of_actions(self) -> torch.Tensor:
-        """Deviations of the last step's actions where they are a network's output, [n]: of joints that robots have."""
+        """Deviations of the last step's actions that are a network's output, [n].
+
+        Joints that robots have, alone.
+        """
         last = self.numbers["deviations"].view(*self._shape, -1)[-1]
         return last[torch.from_numpy(self._env.unwrapped.sim.action_mask).to(last.device)]
 

@@ -61,7 +61,7 @@ class Goal(Protocol):
     """Goal that may end a training before its last iteration."""
 
     def ends(self, runner: "Runner", is_last: bool) -> bool:
-        """Whether the training ends after the iteration just finished, which may be its last one anyway.
+        """Whether the training ends after the iteration just finished, maybe its last anyway.
 
         It may save and measure checkpoints.
         """
@@ -159,7 +159,7 @@ class Runner(OnPolicyRunner):
         self.cfg["multi_gpu"] = ranks if self.is_distributed else None
 
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
-        """Runs `num_learning_iterations` more iterations, or fewer after a signal, which sets `stopped_by`.
+        """Runs `num_learning_iterations` iterations; a signal ends them and sets `stopped_by`.
 
         A checkpoint that the disk does not take is tried again at the next save; the training goes on.
 
@@ -388,7 +388,10 @@ class Runner(OnPolicyRunner):
             deviations.limit(self._distribution)
 
     def _of_workers(self) -> dict[str, Any]:
-        """State of all workers for a checkpoint, for worker 0: whole arrays, and the simulator as of one process."""
+        """State of all workers for a checkpoint, for worker 0.
+
+        Whole arrays, and the simulator as of one process.
+        """
         if self.workers.count == 1:
             return {"sim": self.env.unwrapped.sim.snapshot(), "worker_rng": [], "logger": {}, "reward_scale": {}}
         workers, logger = self.workers, self.logger.state()
@@ -416,7 +419,7 @@ class Runner(OnPolicyRunner):
         }
 
     def _own_rows(self, state: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-        """A state with this worker's rows of the arrays that have one for each env of all workers."""
+        """A state with this worker's rows of the arrays that have a row for each env."""
         return {**state, **{name: state[name][slice(*self.env.unwrapped.sim.share)] for name in names}}
 
     def _cuda_streams(self) -> list[torch.Tensor]:
@@ -425,7 +428,7 @@ class Runner(OnPolicyRunner):
         return [torch.cuda.get_rng_state(self.device)]
 
     def _restore_streams(self, infos: dict[str, Any], iteration: int) -> None:
-        """Goes on with this worker's random streams, or with new ones where it was not there before."""
+        """Goes on with this worker's random streams; a new worker gets new ones."""
         of_others = infos.get("worker_rng", [])
         if self.workers.is_first:
             stream, of_cuda = infos["rng"], infos["cuda_rng"]

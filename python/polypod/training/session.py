@@ -230,7 +230,7 @@ def train_with(
 
 
 def next_options(options: Options, run: Path, target: int) -> Options | None:
-    """The options to begin a run with, or to go on with it from its last checkpoint; None: it is done."""
+    """Options to begin a run, or to go on from its last checkpoint; None: it is done."""
     if not any(run.glob("model_*.pt")):
         return dataclasses.replace(options, run=run, max_iterations=target)
     checkpoint = run_dir.latest_checkpoint(run)

@@ -1,4 +1,6 @@
-"""Sweeps: trainings of several configs and robots, each with several seeds, one after the other or on a Ray cluster.
+"""Sweeps: trainings of several configs and robots with several seeds.
+
+One after the other, or on a Ray cluster.
 
 <folder>/<group>/seed_<n>/ is a run with its evaluation, `eval.json`. A sweep that was interrupted goes on when it is
 begun again.

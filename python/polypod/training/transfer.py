@@ -1,4 +1,4 @@
-"""A critic that goes on with other bodies: columns of its first layer follow the numbers that they belong to."""
+"""Transfer of a critic to other bodies: columns of its first layer follow their numbers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -35,7 +35,7 @@ def numbers_of(sim: _core.VecSim, groups: Sequence[str]) -> list[Number]:
 def critic_for(
     old: Mapping[str, torch.Tensor], of: Sequence[Number], own: Mapping[str, torch.Tensor], wanted: Sequence[Number]
 ) -> dict[str, torch.Tensor] | None:
-    """The state of a perceptron for other numbers, which computes what it did where new ones are absent.
+    """The state of a perceptron for other numbers; equal outputs where new ones are absent.
 
     Args:
         old: the perceptron's state.
@@ -66,7 +66,7 @@ def critic_for(
 
 
 def numbers_of_run(manifest: Mapping[str, Any], groups: Sequence[str]) -> list[Number] | None:
-    """`numbers_of` for the training of a manifest; None where its task or robots are not on this machine."""
+    """`numbers_of` for a manifest's training; None if task or robots are not on this machine."""
     robots = manifest["robot_sources"]
     try:
         sim = _core.VecSim(

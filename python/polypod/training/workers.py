@@ -249,7 +249,7 @@ class Workers:
 
     @contextlib.contextmanager
     def names_the_lost(self) -> Iterator[None]:
-        """Names the worker that is gone when messages of rsl_rl's fail, which tells its workers of gradients itself."""
+        """Names the lost worker when rsl_rl's own messages of gradients fail."""
         try:
             yield
         except RuntimeError as error:
@@ -284,7 +284,7 @@ class Workers:
         ) from error
 
     def _lost(self) -> list[int]:
-        """The workers that are gone: processes of this host that have ended, and those that give no sign of life."""
+        """The lost workers: ended processes of this host, and those without a sign of life."""
         missing = set(range(self.count)) - {self.index}
         end = time.monotonic() + LOST_S
         if self._store is None:
@@ -337,7 +337,7 @@ def _backend(store: Any, index: int, count: int, gpu: str) -> str:
 
 
 def threads_of(workers: Workers, threads: int | None) -> int | None:
-    """Threads of this worker: those that were asked for, or its share of the host's cores; None: all cores."""
+    """Threads of this worker: as asked for, or its share of the cores; None: all cores."""
     if threads is not None or workers.local_count == 1:
         return threads
     return max(1, _core.info()["threads"] // workers.local_count)
