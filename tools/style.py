@@ -78,7 +78,8 @@ COLUMNS = re.compile(r"\S {3,}\S")
 """Spaces that align columns of a preformatted line."""
 SECTION = re.compile(r"\s*(?:Args|Attributes|Returns|Raises|Yields|Examples?|Notes?|Usage):$")
 ENTRY = re.compile(r"\s*\*{0,2}\w[\w.]*(?: \(.*?\))?: ")
-CODE = re.compile(r"``[^`]+``|`[^`]+`")
+CODE = re.compile(r"``[^`]+``|`[^`]+`|\]\([^)\s]*\)")
+"""Code, and targets of links."""
 PYTHON_TOKEN = re.compile(
     r"""(?P<comment>\#[^\n]*)|(?P<prefix>\b[rfbuRFBU]{1,2}|)(?:\"{3}(?:\\.|[^\\])*?\"{3}|'{3}(?:\\.|[^\\])*?'{3}"""
     r"""|"(?:\\.|[^"\\\n])*"|'(?:\\.|[^'\\\n])*')""",
