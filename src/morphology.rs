@@ -528,7 +528,7 @@ pub(crate) fn lowest_point(
 pub struct RobotDescription {
     /// Name for people.
     pub title: String,
-    /// kg.
+    /// Mass of the robot, kg.
     pub mass: f64,
     /// Networks that give torques in the place of gains.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -545,13 +545,13 @@ pub struct RobotDescription {
     pub columns: Vec<usize>,
     /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
     pub class: String,
-    /// rad.
+    /// Joint positions of the default pose, rad.
     pub default_pose: Vec<f32>,
     /// rad per unit of action.
     pub action_scale: f32,
-    /// N m/rad.
+    /// Stiffness of each joint, N m/rad.
     pub stiffness: Vec<f32>,
-    /// N m s/rad.
+    /// Damping of each joint, N m s/rad.
     pub damping: Vec<f32>,
     /// N m; the largest one where it depends on the angle, infinity (`null` in JSON) where there is no limit.
     pub effort_limit: Vec<f32>,

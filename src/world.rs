@@ -194,7 +194,7 @@ fn surface(ground: &GroundConfig) -> (Friction, Restitution) {
 pub struct Ground {
     /// Height of the plane, m.
     pub height: f64,
-    /// m/s^2, world axes.
+    /// Gravity, m/s^2, world axes.
     pub gravity: [f64; 3],
     /// Unit vector of [`gravity`](Self::gravity), world axes; zeros without gravity.
     pub down: [f32; 3],

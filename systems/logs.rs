@@ -49,9 +49,9 @@ pub struct EpisodeStats {
     pub falls: u64,
     /// Mean length, s.
     pub episode_length_s: f64,
-    /// m/s.
+    /// Error of the planar velocity, m/s.
     pub error_vel_xy: f64,
-    /// rad/s.
+    /// Error of the yaw rate, rad/s.
     pub error_vel_yaw: f64,
     /// m/s: what the error of standing still would have been.
     pub command_xy: f64,

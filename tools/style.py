@@ -8,6 +8,7 @@ PATH is a file or a folder; by default all files that git tracks. Text in backqu
 blocks is not checked. Needs the standard library alone.
 """
 
+import itertools
 import re
 import subprocess
 import sys
@@ -27,8 +28,8 @@ OPENINGS = {
     **dict.fromkeys(("what", "that", "those", "which", "who", "whose", "of"), NOUN),
     **dict.fromkeys(("it itself", "likewise", "as above", "the same of"), "say it in full"),
 }
-"""Beginnings of a sentence that postpone its subject, and their remedies. Questions may have them."""
-OPENING = re.compile(r"(?:%s)\b(?!:)" % "|".join(OPENINGS), re.IGNORECASE)
+"""Openings of a sentence that postpone its subject, with remedies. Questions may have them."""
+OPENING = re.compile(rf"(?:{'|'.join(OPENINGS)})\b(?!:)", re.IGNORECASE)
 
 WORDS = {
     r"anew": "again, or a verb such as 'regenerates'",
@@ -46,7 +47,11 @@ WORDS = {
     r"none any more": "say which state it is",
 }
 """Words that have a plain equivalent, as patterns, and the equivalent."""
-WORD = re.compile(r"\b(?:%s)\b" % "|".join(f"({word})" for word in WORDS), re.IGNORECASE)
+WORD = re.compile(rf"\b(?:{'|'.join(f'({word})' for word in WORDS)})\b", re.IGNORECASE)
+
+UNIT = r"(?:1/)?(?:rad|kg|Hz|[msNJWV])(?:[ /]?(?:rad|[msNJ])(?:\^\d)?)*"
+UNITS_ALONE = re.compile(rf"(?:\[[^\]]*\],? ?)?(?:in )?(?:(?:(?:base|world|link) axes|{UNIT})(?:,| or|;)? ?)*[.]?")
+"""A shape and units without the quantity that they are of."""
 
 NAMES = {
     "Alike": "UniformParameters",
@@ -65,14 +70,13 @@ NAMES = {
     "note_touching": "find_touching",
     "treat": "apply_noise_and_scale",
 }
-"""Names that mean nothing to a reader of the field, and their replacements. Only definitions are checked."""
-NAME = re.compile(
-    r"\b(?:struct|enum|trait|type|fn|mod|const|static|class|def|let|let mut) (%s)\b" % "|".join(NAMES)
-)
+"""Names that mean nothing to a reader of the field, and replacements. Definitions are checked."""
+_DEFINES = "struct|enum|trait|type|fn|mod|const|static|class|def|let|let mut"
+NAME = re.compile(rf"\b(?:{_DEFINES}) ({'|'.join(NAMES)})\b")
 
 FENCE = re.compile(r"\s*(?:```|~~~)")
 FIXED = re.compile(r"\s*(?:\||#|!\[|<|\[[^\]]+\]: |[-=*]{3,}\s*$|>>> |\.\. )")
-"""Lines that end a paragraph and cannot be wrapped: tables, headings, pictures, tags, link targets, rules."""
+"""Lines that end a paragraph: tables, headings, pictures, tags, targets of links, rules."""
 ITEM = re.compile(r"\s*(?:[-*+]|\d+\.) +")
 COLUMNS = re.compile(r"\S {3,}\S")
 """Spaces that align columns of a preformatted line."""
@@ -97,8 +101,8 @@ class Block:
     Attributes:
         first: number of the first line, from 1.
         lines: lines of the file, whole.
-        mark: what stands before the text of each line, behind its indentation.
-        kind: `rust`, `comment`, `docstring`, `attribute`, `help`, `page` or `trailing`.
+        mark: beginning of each line before its text, such as `    ///`.
+        kind: `rust`, `comment`, `docstring`, `attribute`, `help`, `page`, `trailing` or `error`.
     """
 
     first: int
@@ -109,7 +113,7 @@ class Block:
     @property
     def can_wrap(self) -> bool:
         """Whether the lines hold nothing but this text."""
-        return self.kind not in ("help", "trailing")
+        return self.kind not in ("help", "trailing", "error")
 
 
 @dataclass
@@ -131,7 +135,7 @@ class Finding:
     remedy: str
 
     def __str__(self) -> str:
-        """The line of the report."""
+        """One line of the report."""
         return f"{self.path}:{self.line}: {self.word}: {self.remedy}"
 
 
@@ -151,6 +155,8 @@ def rust_blocks(source: str) -> Iterator[Block]:
         if block:
             yield block
             block = None
+        if error := re.match(r'\s*#\[error\("(.*)"', line):
+            yield Block(number, [error[1]], "", "error")
         if " // " in line:
             code, _, text = line.partition(" // ")
             if code.strip() and code.count('"') % 2 == 0:
@@ -175,7 +181,11 @@ def python_blocks(source: str) -> Iterator[Block]:
                 continue
             if before.strip():
                 yield Block(number, [text[1:].strip()], "", "trailing")
-            elif comments and comments[-1].mark == before + "#" and number == comments[-1].first + len(comments[-1].lines):
+            elif (
+                comments
+                and comments[-1].mark == before + "#"
+                and number == comments[-1].first + len(comments[-1].lines)
+            ):
                 comments[-1].lines.append(before + text)
             else:
                 comments.append(Block(number, [before + text], before + "#", "comment"))
@@ -249,6 +259,10 @@ def paragraphs(block: Block) -> Iterator[Paragraph]:
 
 def check_block(block: Block, path: str) -> Iterator[Finding]:
     """Openings, words and wide lines of a block."""
+    text = " ".join(line[len(block.mark) :].strip() for line in block.lines).strip('" ')
+    is_documentation = block.kind in ("docstring", "attribute") or block.mark.endswith("///")
+    if is_documentation and text and UNITS_ALONE.fullmatch(text):
+        yield Finding(path, block.first, f"'{text}' alone", "name the quantity, as in 'Mass, kg.'")
     for paragraph in paragraphs(block):
         starts, joined = [], ""
         for text in paragraph.texts:
@@ -262,7 +276,7 @@ def check_block(block: Block, path: str) -> Iterator[Finding]:
 
         for start, sentence in sentences(plain):
             opening = OPENING.match(sentence)
-            if opening and not sentence.rstrip(" *_\"')").endswith("?"):
+            if block.kind != "error" and opening and not sentence.rstrip(" *_\"')").endswith("?"):
                 word = opening[0]
                 yield Finding(path, line_of(start), f"'{word}' opens a sentence", OPENINGS[word.lower()])
         for word in WORD.finditer(plain):
@@ -279,7 +293,7 @@ def check_block(block: Block, path: str) -> Iterator[Finding]:
 def sentences(text: str) -> Iterator[tuple[int, str]]:
     """Start and text of the sentences of a paragraph."""
     marks = [0, *(found.end() for found in re.finditer(r"[.!?][)\"'*_]*\s+(?=[\"'(*_]*[A-Z])", text)), len(text)]
-    for start, end in zip(marks, marks[1:], strict=False):
+    for start, end in itertools.pairwise(marks):
         lead = re.match(r"(?:\s*(?:[-*+]|\d+\.) )?[\s\"'(*_]*", text[start:end])
         begin = start + (lead.end() if lead else 0)
         yield begin, text[begin:end]
@@ -324,7 +338,10 @@ def wrap_block(block: Block) -> list[str]:
 
 
 def wrap_summary(text: str, indent: str, *, closes: bool) -> list[str]:
-    """A docstring's first paragraph: its first sentence, an empty line, the rest. One sentence stays as it is."""
+    """A docstring's first paragraph: its first sentence, an empty line, the rest.
+
+    One sentence stays as it is.
+    """
     sentence = re.match(r"(.+?[.]) (?=[A-Z`])(.+)", text)
     if not sentence or len(indent + sentence[1]) > WIDTH:
         return [indent + text]

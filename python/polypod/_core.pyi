@@ -843,11 +843,11 @@ class Simulation:
 
     @property
     def qpos(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nq]."""
+        """[num_envs, nq], positions of all envs."""
 
     @property
     def qvel(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nv]."""
+        """[num_envs, nv], velocities of all envs."""
 
     @property
     def contact_forces(self) -> npt.NDArray[np.float64]:

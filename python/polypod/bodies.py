@@ -23,7 +23,7 @@ KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
 """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
 TASK = "velocity_flat_generated"
 GRAVITY = _core.EARTH_GRAVITY
-"""m/s^2."""
+"""Gravity, m/s^2."""
 
 Vector = tuple[float, float, float]
 
@@ -34,7 +34,7 @@ class Link:
 
     name: str
     mass: float
-    """kg."""
+    """Mass of the link, kg."""
     shape: str
     """box, cylinder (along z) or sphere."""
     size: tuple[float, ...]
@@ -83,7 +83,7 @@ class Drive:
     """Drive of a joint, as shares of weight times leg length."""
 
     stiffness: float
-    """1/rad."""
+    """Stiffness, 1/rad."""
     effort: float
     damping_time: float
     """Damping over stiffness, s."""
@@ -103,7 +103,7 @@ class Body:
     feet: list[tuple[str, str, Vector, float]]
     """Massless spheres: name, link, place in its frame, radius, m. Bodies with soles have none."""
     leg_length: float
-    """m."""
+    """Length of a leg, m."""
     reward_set: str
     drives: dict[str, "Drive"]
     """Drive of each group of actuators."""

@@ -51,7 +51,7 @@ class Body:
     joints: tuple[str, ...]
     """Slots."""
     numbers: npt.NDArray[np.float32]
-    """[joints, descriptors]."""
+    """[joints, descriptors], descriptions of the joints."""
 
 
 @dataclasses.dataclass(frozen=True)

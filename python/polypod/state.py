@@ -58,7 +58,7 @@ class State:
 
     @property
     def base_ang_vel(self) -> FloatArray:
-        """[num_envs, 3], base axes, rad/s."""
+        """[num_envs, 3], angular velocity of the base, base axes, rad/s."""
         return self._sim().state("base_ang_vel")
 
     @property
@@ -68,12 +68,12 @@ class State:
 
     @property
     def joint_pos(self) -> FloatArray:
-        """[num_envs, joints], rad."""
+        """[num_envs, joints], joint positions, rad."""
         return self._sim().state("joint_pos")
 
     @property
     def joint_vel(self) -> FloatArray:
-        """[num_envs, joints], rad/s."""
+        """[num_envs, joints], joint velocities, rad/s."""
         return self._sim().state("joint_vel")
 
     @property
@@ -108,7 +108,7 @@ class State:
 
     @property
     def feet_vel(self) -> FloatArray:
-        """[num_envs, 3 feet], world axes, m/s."""
+        """[num_envs, 3 feet], velocities of the feet, world axes, m/s."""
         return self._sim().state("feet_vel")
 
     @property

@@ -129,16 +129,16 @@ pub enum ObstacleConfig {
     },
     /// A sphere about its centre.
     Sphere {
-        /// m.
+        /// Radius, m.
         radius: f64,
         /// Position of the centre.
         position: [f64; 3],
     },
     /// A cylinder about its centre, upright unless it is turned.
     Cylinder {
-        /// m.
+        /// Radius, m.
         radius: f64,
-        /// m.
+        /// Length, m.
         length: f64,
         /// Position of the centre.
         position: [f64; 3],
@@ -148,7 +148,7 @@ pub enum ObstacleConfig {
     },
     /// A capsule about its centre, upright unless it is turned.
     Capsule {
-        /// m.
+        /// Radius, m.
         radius: f64,
         /// Between the centres of the ends, m.
         length: f64,

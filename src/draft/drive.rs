@@ -89,7 +89,7 @@ pub(super) struct Drives<'a> {
     model: &'a Model,
     /// Weight times leg length, N m.
     load: f64,
-    /// m.
+    /// Length of a leg, m.
     leg_length: f64,
     /// Joints of legs.
     of_legs: Vec<usize>,
@@ -153,7 +153,7 @@ impl<'a> Drives<'a> {
         Drive { stiffness, damping: round(damping * stiffness), effort, velocity, effort_is, velocity_is }
     }
 
-    /// N m.
+    /// Effort limit of a joint, N m, and how it was found.
     fn effort(&self, joint: usize) -> (Limit, f64) {
         let stated = self.model.joints[joint].effort;
         let limit = Limit::of(stated, (MOST_LOADS * self.load).min(MOST_EFFORT));
@@ -167,7 +167,7 @@ impl<'a> Drives<'a> {
         (limit, limit.value(stated, assumed))
     }
 
-    /// rad/s.
+    /// Speed limit of a joint, rad/s, and how it was found.
     fn velocity(&self, own: &Joint) -> (Limit, f64) {
         let limit = Limit::of(own.velocity, MOST_SPEED);
         (limit, limit.value(own.velocity, SPEED / self.leg_length.sqrt()))

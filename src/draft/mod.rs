@@ -80,7 +80,7 @@ struct Findings<'a> {
     misses: Vec<(&'static str, f64)>,
     /// Height of the base frame above the feet's soles, m.
     height: f64,
-    /// m.
+    /// Length of a leg, m.
     leg_length: f64,
     /// Role, and the torque that standing takes of its joints, N m.
     torques: Vec<(&'static str, f64)>,

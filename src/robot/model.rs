@@ -50,7 +50,7 @@ pub struct LockedJoint {
 pub struct Link {
     /// Name of the URDF link whose frame this is.
     pub name: String,
-    /// kg.
+    /// Mass, kg.
     pub mass: f64,
     /// Centre of mass in the link frame, m.
     pub com: DVec3,
@@ -171,7 +171,7 @@ pub struct Shape {
 pub enum Geometry {
     /// Ball.
     Sphere {
-        /// m.
+        /// Radius, m.
         radius: f64,
     },
     /// Box.
@@ -182,14 +182,14 @@ pub enum Geometry {
     },
     /// Cylinder along z.
     Cylinder {
-        /// m.
+        /// Radius, m.
         radius: f64,
         /// Full length, m.
         length: f64,
     },
     /// Cylinder along z with a half ball on each end.
     Capsule {
-        /// m.
+        /// Radius, m.
         radius: f64,
         /// Length of the cylindrical part, m.
         length: f64,
@@ -211,7 +211,7 @@ fn as_arrays<S: Serializer>(vectors: &[DVec3], serializer: S) -> Result<S::Ok, S
 }
 
 impl Model {
-    /// kg.
+    /// Mass of all links, kg.
     pub fn total_mass(&self) -> f64 {
         self.links.iter().map(|link| link.mass).sum()
     }

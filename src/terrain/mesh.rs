@@ -7,7 +7,7 @@ use crate::dynamics::HeightGrid;
 /// A surface of triangles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// m.
+    /// Corners of the triangles, m.
     pub vertices: Vec<[f32; 3]>,
     /// Three vertices each; those that can be stood on are counterclockwise from above.
     pub triangles: Vec<[u32; 3]>,

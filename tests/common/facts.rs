@@ -14,9 +14,9 @@ pub struct LinkFacts {
 
 /// Largest differences from the facts.
 pub struct Tolerances {
-    /// kg
+    /// Mass of a link, kg.
     pub mass: f64,
-    /// m
+    /// Centre of mass, m.
     pub com: f64,
     /// Bound as a share of the link's largest number.
     pub inertia: f64,

@@ -13,7 +13,7 @@ from polypod.accuracy.reference import GRAVITY, Ground, Reference
 
 MASS, RADIUS = 2.0, 0.1
 DT = 0.001
-"""s."""
+"""Physics step, s."""
 SHAPES = {
     # solid bodies; the moment of inertia about the axis of a wheel is k m r^2
     "sphere": ('<sphere radius="0.1"/>', 0.4, (0.4, 0.4, 0.4)),

@@ -80,7 +80,7 @@ struct Played {
     falls: usize,
     /// Way of the base over the ground, m.
     distance: f64,
-    /// s.
+    /// Length of an episode, s.
     episode_length_s: f64,
 }
 

@@ -35,13 +35,13 @@ class Slide:
 
     friction: float
     speed: float
-    """m/s."""
+    """Speed, m/s."""
     direction: float
     """Angle of the push against the world's x axis, rad: the cone is round."""
     dt: float
-    """s."""
+    """Physics step, s."""
     formula: float
-    """m."""
+    """Distance by the formula, m."""
     distance: float
     """polypod's, m."""
     mujoco: float
@@ -59,13 +59,13 @@ class Slope:
 
     friction: float
     angle: float
-    """rad."""
+    """Angle of the slope, rad."""
     dt: float
-    """s."""
+    """Physics step, s."""
     acceleration: float
     """From the distance covered, polypod's, m/s^2; 0 where the formula says that the block holds."""
     formula: float
-    """m/s^2."""
+    """Acceleration by the formula, m/s^2."""
     mujoco: float
     """MuJoCo's, m/s^2."""
     distance: float

@@ -13,7 +13,7 @@ AMPLITUDE = 0.1
 HELD = 0.5
 """Share of the gains' stiffness that gravity has to leave, in every direction, for a pose to count as held."""
 DURATION = 1.0
-"""s."""
+"""Length of a response, s."""
 FINE, COARSE = 0.0005, 0.005
 """Physics steps, s."""
 CONVERGED = 0.00025

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 Integrator = Literal["implicitfast", "RK4"]
 
 GRAVITY = _core.EARTH_GRAVITY
-"""m/s^2."""
+"""Gravity, m/s^2."""
 
 
 SAME_LIMIT = 1e-6
@@ -61,7 +61,7 @@ class Heights:
     """Heights of the ground on the points of a grid."""
 
     heights: npt.NDArray[np.float32]
-    """[points along x, points along y], m."""
+    """[points along x, points along y], heights, m."""
     origin: tuple[float, float]
     """x and y of the first point, m."""
     cell: float
@@ -274,7 +274,7 @@ class Reference:
         return np.array(self.data.qfrc_bias[self.v])
 
     def center_of_mass(self) -> Array:
-        """[3], world axes."""
+        """[3], centre of mass of the robot, world axes."""
         return np.array(self.data.subtree_com[self.model.body(self.root).id])
 
     def link_pose(self, links: list[str]) -> tuple[Array, Array]:

@@ -32,9 +32,9 @@ class Actuators:
     """
 
     stiffness: Array
-    """N m/rad."""
+    """Stiffness of each actuator, N m/rad."""
     damping: Array
-    """N m s/rad."""
+    """Damping of each actuator, N m s/rad."""
     armature: Array
     """Rotor inertia as seen at the joint, kg m^2."""
     joint_damping: Array
@@ -44,7 +44,7 @@ class Actuators:
     spring: Array
     """Stiffness, N m/rad, and angle at rest, rad, of the joint's passive spring, [joints, 2]."""
     effort_limit: Array
-    """N m."""
+    """Effort limit of each actuator, N m."""
     saturation_effort: Array
     """Torque of a DC motor at standstill, N m."""
     no_load_speed: Array
@@ -101,7 +101,7 @@ class Robot:
     default_position: Array
     """Default position of each joint, rad."""
     joint_range: Array
-    """[joints, 2], rad."""
+    """[joints, 2], position limits, rad."""
     base_height: float
     """Height of the base above the lowest foot in the default pose, m."""
     actuators: Actuators

@@ -12,7 +12,7 @@ from polypod.accuracy.robot import Array, Robot, with_actuators
 DROP_HEIGHT = 0.3
 """Height of the lowest foot above the ground, m."""
 DROP_TIME = 3.0
-"""s."""
+"""Time from the drop to the measurement, s."""
 DT = 0.005
 """Physics step of the tasks, s."""
 FINE = 0.0005
@@ -28,7 +28,7 @@ UNREACHED = 1e4
 SETTLE_TIME = 10.0
 """Until a robot that is set on its feet has stopped swaying, s."""
 SLOPE_ANGLE = math.radians(20.0)
-"""rad."""
+"""Angle of the slope, rad."""
 SLOPE_FINE = 0.002
 """MuJoCo's step on the slope, s."""
 REST_TIME = 10.0
@@ -57,11 +57,11 @@ class Drop:
     height: float
     """Height of the base in polypod, m."""
     mujoco_height: float
-    """m."""
+    """Height of the base in MuJoCo, m."""
     pitch: float
     """Pitch of the base in polypod, rad."""
     mujoco_pitch: float
-    """rad."""
+    """Pitch of the base in MuJoCo, rad."""
     mujoco_coarse_height: float
     """MuJoCo's at 2.5 ms, m."""
     mujoco_coarse_pitch: float
@@ -98,15 +98,15 @@ class Standing:
 
     robot: str
     weight: float
-    """N."""
+    """Weight of the robot, N."""
     normal: Array
     """Normal force per foot, polypod's, N."""
     mujoco_normal: Array
-    """N."""
+    """Normal force per foot, MuJoCo's, N."""
     tangential: Array
     """Horizontal force per foot [feet, 2], polypod's, N."""
     mujoco_tangential: Array
-    """N."""
+    """Horizontal force per foot [feet, 2], MuJoCo's, N."""
 
     @property
     def normal_error(self) -> float:
@@ -130,7 +130,7 @@ class SlopeRest:
     creep: float
     """Largest distance from where it was after settling, polypod's, m."""
     mujoco_creep: float
-    """m."""
+    """Largest distance from where it was after settling, MuJoCo's, m."""
 
 
 def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:

@@ -70,7 +70,7 @@ class Joint:
     friction: float
     """Viscous and dry friction of the joint itself."""
     armature: float
-    """kg m^2 or kg."""
+    """Rotor inertia, kg m^2 or kg."""
     drive: Drive | None
     """None where no actuator of the file acts on it."""
     home: float
@@ -94,7 +94,7 @@ class Link:
     at: Array
     """[3], of its frame in that of its parent with the joint at zero, m."""
     turn: Array
-    """[3, 3]."""
+    """[3, 3], its axes in those of its parent with the joint at zero."""
     joint: Joint | None
     """Joint that it hangs on; None: it is fixed."""
     mass: float = 0.0

@@ -52,7 +52,7 @@ class Gate:
     ang_vel_xy_rms: float
     """Root mean square of roll and pitch rate together, rad/s."""
     yaw_rate_rms: float
-    """rad/s."""
+    """Root mean square of the yaw rate, rad/s."""
     leg_qvel_rms: float
     """Root mean square of the speeds of the legs' joints, rad/s."""
     walk_falls: int
@@ -153,9 +153,9 @@ class _Motion:
     is_on: npt.NDArray[np.bool_]
     """[steps, envs], whether the step before was of the same episode."""
     rates: measures.Array
-    """[steps, envs, 3]."""
+    """[steps, envs, 3], angular velocities of the bases."""
     speeds: measures.Array
-    """[steps, envs, slots]."""
+    """[steps, envs, slots], speeds of the joints."""
 
 
 def _run(sim: _core.VecSim, policy: Policy, commands: npt.NDArray[np.float32], seconds: float) -> _Motion:

@@ -51,7 +51,7 @@ class RobotInterface:
     action_names: tuple[str, ...]
     """Columns of the policy's action: slots, of which the robot has some."""
     default_pose: Array
-    """rad."""
+    """Joint positions of the default pose, rad."""
     action_scale: float
     """rad per unit of action."""
     base_com: Array

@@ -113,7 +113,7 @@ class MaskedGaussian(GaussianDistribution):
 
     @property
     def entropy(self) -> torch.Tensor:
-        """[n]."""
+        """[n], entropy over the present actions."""
         return (self._normal.entropy() * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     @property
@@ -126,7 +126,7 @@ class MaskedGaussian(GaussianDistribution):
         return (self._normal.log_prob(outputs) * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     def kl_divergence(self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]) -> torch.Tensor:
-        """[n]."""
+        """[n], divergence over the present actions."""
         (old_mean, old_std, mask), (new_mean, new_std, _) = old_params, new_params
         divergence = kl_divergence(Normal(old_mean, old_std), Normal(new_mean, new_std))
         return (divergence * mask).sum(dim=-1)

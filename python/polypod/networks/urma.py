@@ -68,7 +68,7 @@ class _Joints(NamedTuple):
     states: torch.Tensor
     """[rows, numbers], scaled."""
     descriptions: torch.Tensor
-    """[rows, features]."""
+    """[rows, features], descriptions of the joints."""
     relative: torch.Tensor
     """[rows, numbers], the part of the descriptions that compares joints of one robot."""
     present: torch.Tensor

@@ -16,7 +16,7 @@ class Camera:
     """Where a picture is taken from."""
 
     position: tuple[float, float, float]
-    """m."""
+    """Position of the camera, m."""
     target: tuple[float, float, float]
     """In the middle of the picture, m."""
     field_of_view: float = 32.0

@@ -22,9 +22,9 @@ class Ground:
     def __init__(self, entry: "_core.TerrainEntry") -> None:
         """Reads an entry of `VecSim.terrain`."""
         self.vertices: npt.NDArray[np.float32] = entry["vertices"]
-        """[n, 3], m."""
+        """[n, 3], corners of the triangles, m."""
         self.triangles: npt.NDArray[np.uint32] = entry["triangles"]
-        """[m, 3]."""
+        """[m, 3], indices into the vertices."""
         self._heights = entry["heights"]
         self._origin, self._cell = np.array(entry["origin"], dtype=np.float64), float(entry["cell"])
         low, high = float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max())

@@ -23,7 +23,7 @@ class Mesh:
     """Convex outward polygons of three or four corners."""
 
     vertices: Array
-    """[n, 3], m."""
+    """[n, 3], corners of the faces, m."""
     faces: npt.NDArray[np.intp]
     """[m, 4], indices counter-clockwise from outside; a triangle repeats its last corner."""
 

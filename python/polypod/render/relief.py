@@ -16,7 +16,7 @@ RADIUS = 9.0
 SHADOW_RADIUS = 1.6
 """Around the middle of a robot, m; no shadow is looked for beyond."""
 SHADOW_PIXEL = 0.008
-"""m."""
+"""Size of a pixel of the shadows, m."""
 SHADED = 0.68
 """Share of the light that is left in a shadow."""
 CHECKED = 0.965

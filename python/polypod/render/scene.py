@@ -77,7 +77,7 @@ class Frame:
     """All robots at one time."""
 
     time: float
-    """s."""
+    """Simulated time, s."""
     robots: list[RobotFrame]
 
 

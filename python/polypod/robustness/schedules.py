@@ -85,7 +85,7 @@ class Pushes:
     every: int
     """Control steps between two pushes."""
     velocities: npt.NDArray[np.float32]
-    """[pushes, envs, 3], m/s, world axes."""
+    """[pushes, envs, 3], velocities that the pushes add, m/s, world axes."""
 
     @classmethod
     def draw(cls, num_envs: int, steps: int, step_dt: float, seed: int) -> "Pushes":

@@ -23,9 +23,9 @@ class Commands:
     turning: Array
     """[draws, envs], yaw rate where no heading is held, rad/s."""
     holds_heading: npt.NDArray[np.bool_]
-    """[draws, envs]."""
+    """[draws, envs], whether the yaw rate follows the heading."""
     standing: npt.NDArray[np.bool_]
-    """[draws, envs]."""
+    """[draws, envs], whether the robot shall stand still."""
     steps_per_draw: int
     stiffness: float
     """Yaw rate per heading error, 1/s."""

@@ -66,11 +66,11 @@ class Response:
     """The motion of one robot."""
 
     base: Array
-    """[steps, 3], m."""
+    """[steps, 3], positions of the base, m."""
     heading: Array
-    """[steps], rad."""
+    """[steps], headings of the base, rad."""
     joints: Array
-    """[steps, joints], rad."""
+    """[steps, joints], joint positions, rad."""
     falls: bool
 
 

@@ -53,7 +53,7 @@ class Observed:
     velocity: Array
     """[envs, 2], of the base's centre of mass, base axes, m/s."""
     yaw_rate: Array
-    """[envs], rad/s."""
+    """[envs], yaw rate of the base, rad/s."""
     fell: npt.NDArray[np.bool_]
     """[envs], in this control step."""
 

@@ -101,12 +101,12 @@ class JointMap:
 
     @property
     def signs(self) -> Array:
-        """[joints]."""
+        """[joints], sign of each joint in the model."""
         return np.array([pair.sign for pair in self.pairs])
 
     @property
     def offsets(self) -> Array:
-        """[joints], rad or m."""
+        """[joints], offset of each joint in the model, rad or m."""
         return np.array([pair.offset for pair in self.pairs])
 
 

@@ -79,7 +79,7 @@ class Figures:
     error_vel_xy: float
     """m/s, between commanded and actual planar velocity of the base's centre of mass."""
     error_vel_yaw: float
-    """rad/s."""
+    """Error of the yaw rate, rad/s."""
     fall_rate: float
     """Share of the episodes that failed: base or torso on the ground, and what else ends them in the task."""
     episode_length_s: float

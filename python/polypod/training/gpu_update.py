@@ -57,7 +57,7 @@ class Samples:
         self.batch_sizes: list[int] = []
 
     def __getitem__(self, name: str) -> torch.Tensor:
-        """[samples, numbers]."""
+        """[samples, numbers], values of a quantity."""
         return self.numbers[name]
 
 

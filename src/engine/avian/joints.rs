@@ -121,9 +121,9 @@ pub(super) struct Twist {
 #[derive(Clone, Copy, Default)]
 pub(super) struct Joint {
     pub(super) numbers: JointNumbers,
-    /// rad.
+    /// Target position, rad.
     pub(super) target: f32,
-    /// N m.
+    /// Feed-forward effort, N m.
     pub(super) feedforward: f32,
     /// Position and velocity at the end of the last physics step, rad and rad/s.
     pub(super) position: f64,
@@ -196,7 +196,7 @@ pub(super) struct LinkPose {
 pub(super) struct Wrench {
     /// At the centre of mass, N.
     pub(super) force: Vec3,
-    /// N m.
+    /// Torque, N m.
     pub(super) torque: Vec3,
 }
 

@@ -54,7 +54,7 @@ pub(crate) struct Settings {
     pub(crate) dt: f64,
     /// Substeps in it.
     pub(crate) substeps: usize,
-    /// m/s^2, world axes.
+    /// Gravity, m/s^2, world axes.
     pub(crate) gravity: [f64; 3],
     /// Plane that the robots stand on.
     pub(crate) ground: Option<Plane>,
