@@ -232,8 +232,6 @@ def paragraphs(block: Block) -> Iterator[Paragraph]:
         if SECTION.match(body):
             section = text.rstrip(":")
             text = ""
-        elif not text and not indent:
-            section = "" if block.kind == "rust" else section
         fixed = is_fenced or is_comment or (block.kind in ("page", "rust") and FIXED.match(text))
         fixed = fixed or text.startswith(("|", ">>> ", "---")) or COLUMNS.search(text)
         if ends_comment:
@@ -250,7 +248,7 @@ def paragraphs(block: Block) -> Iterator[Paragraph]:
             paragraph = Paragraph(index)
         paragraph.texts.append(text)
         paragraph.indents.append(indent)
-        if block.kind in ("docstring", "page") and text.endswith(("::",)):
+        if block.kind in ("docstring", "page") and text.endswith("::"):
             yield paragraph
             paragraph = None
     if paragraph:
@@ -258,36 +256,32 @@ def paragraphs(block: Block) -> Iterator[Paragraph]:
 
 
 def check_block(block: Block, path: str) -> Iterator[Finding]:
-    """Openings, words and wide lines of a block."""
-    text = " ".join(line[len(block.mark) :].strip() for line in block.lines).strip('" ')
+    """Units alone, openings, words and wide lines of a block."""
+    whole = " ".join(line[len(block.mark) :].strip() for line in block.lines).strip('" ')
     is_documentation = block.kind in ("docstring", "attribute") or block.mark.endswith("///")
-    if is_documentation and text and UNITS_ALONE.fullmatch(text):
-        yield Finding(path, block.first, f"'{text}' alone", "name the quantity, as in 'Mass, kg.'")
+    if is_documentation and whole and UNITS_ALONE.fullmatch(whole):
+        yield Finding(path, block.first, f"'{whole}' alone", "name the quantity, as in 'Mass, kg.'")
     for paragraph in paragraphs(block):
-        starts, joined = [], ""
-        for text in paragraph.texts:
-            starts.append(len(joined))
-            joined += text + " "
-        plain = CODE.sub(lambda code: "`" * len(code[0]), joined)
+        for position, word, remedy in check_text(" ".join(paragraph.texts), opens=block.kind != "error"):
+            ends = itertools.accumulate(len(text) + 1 for text in paragraph.texts)
+            index = sum(end <= position for end in ends)
+            yield Finding(path, block.first + paragraph.first + index, word, remedy)
+        for index in range(paragraph.first, paragraph.first + len(paragraph.texts)):
+            if block.can_wrap and is_wide(block.lines[index], block.mark):
+                columns = len(block.lines[index])
+                remedy = "shorten the summary" if is_summary(block, paragraph) else "tools/style.py --wrap"
+                yield Finding(path, block.first + index, f"{columns} columns, at most {WIDTH}", remedy)
 
-        def line_of(position: int, paragraph=paragraph, starts=starts) -> int:
-            index = max(k for k, start in enumerate(starts) if start <= position)
-            return block.first + paragraph.first + index
 
-        for start, sentence in sentences(plain):
-            opening = OPENING.match(sentence)
-            if block.kind != "error" and opening and not sentence.rstrip(" *_\"')").endswith("?"):
-                word = opening[0]
-                yield Finding(path, line_of(start), f"'{word}' opens a sentence", OPENINGS[word.lower()])
-        for word in WORD.finditer(plain):
-            remedy = list(WORDS.values())[word.lastindex - 1]
-            yield Finding(path, line_of(word.start()), f"'{word[0]}'", remedy)
-        if block.can_wrap:
-            for index in range(paragraph.first, paragraph.first + len(paragraph.texts)):
-                if is_wide(block.lines[index], block.mark):
-                    columns = len(block.lines[index])
-                    remedy = "shorten the summary" if is_summary(block, paragraph) else "tools/style.py --wrap"
-                    yield Finding(path, block.first + index, f"{columns} columns, at most {WIDTH}", remedy)
+def check_text(text: str, *, opens: bool) -> Iterator[tuple[int, str, str]]:
+    """Places, words and remedies in a paragraph; `opens`: whether openings count."""
+    plain = CODE.sub(lambda code: "`" * len(code[0]), text)
+    for start, sentence in sentences(plain) if opens else ():
+        opening = OPENING.match(sentence)
+        if opening and not sentence.rstrip(" *_\"')").endswith("?"):
+            yield start, f"'{opening[0]}' opens a sentence", OPENINGS[opening[0].lower()]
+    for word in WORD.finditer(plain):
+        yield word.start(), f"'{word[0]}'", list(WORDS.values())[(word.lastindex or 1) - 1]
 
 
 def sentences(text: str) -> Iterator[tuple[int, str]]:
