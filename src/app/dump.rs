@@ -145,7 +145,8 @@ impl Dump {
         Ok(Replay { morphology: sim.morphologies()[0].clone(), simd: sim.simd(), steps, broken, same_bits })
     }
 
-    /// A simulation of this robot alone with one physics step in a control step, and how many the task has.
+    /// A simulation of this robot alone with one physics step in a control step, and the number of
+    /// physics steps that the task has.
     fn sim(&self, simd: Option<Simd>) -> Result<(Sim, usize), Error> {
         // a dump may come from anybody, so the checks that Library makes of a file are made here
         // too
@@ -164,7 +165,7 @@ impl Dump {
         config.observations.policy.clear();
         config.observations.groups.clear();
         config.terminations.clear();
-        // but for those that make room for late targets and for friction against turning
+        // keep the events that make room for late targets and for friction against turning
         config.events.retain(|name, _| name == ACTION_DELAY || name == PHYSICS_MATERIAL);
         config.rewards = [(robot.config.reward_set.clone(), Default::default())].into();
         let resolved = self.table(&self.task)?;
@@ -191,7 +192,7 @@ impl Dump {
             .map_err(|error| self.foreign(format!("cannot be read: {}: {}", error.element, error.problem)))
     }
 
-    /// A robot that this version of polypod makes otherwise has other joints or contacts.
+    /// Refuses a robot that this version of polypod makes with other joints or contacts.
     fn check_sizes(&self, sim: &mut Sim) -> Result<(), Error> {
         let state = &self.state;
         let (joints, effort): (JointState, JointEffort) = (get(sim)?, get(sim)?);
@@ -240,7 +241,8 @@ impl Dump {
 }
 
 impl Sim {
-    /// Writes what broke in the last control step. A dump that fails is reported and stops nothing.
+    /// Writes the broken states of the last control step. A dump that fails is reported and stops
+    /// nothing.
     pub(crate) fn dump_broken_states(&mut self) {
         let Some(mut broken) = self.world_mut().get_resource_mut::<BrokenStates>() else {
             return;
@@ -292,7 +294,7 @@ fn get<C: Component + Clone>(sim: &mut Sim) -> Result<C, Error> {
     component.map_err(|error| Error::file("replay", error.to_string(), "this is a fault of polypod; please report it"))
 }
 
-/// The bits of all that moves. IEEE 754 leaves the bits of a NaN open: all NaNs count as one.
+/// The bits of a motion. IEEE 754 leaves the bits of a NaN open: all NaNs count as one.
 fn bits(motion: &Motion) -> Vec<u32> {
     let Motion {
         pose: BasePose { position, rotation },

@@ -1,4 +1,5 @@
-//! Training without Python in the loop: the policy, the simulator and the update take turns on one team of threads.
+//! Training without Python in the loop: the policy, the simulator and the update take turns on one
+//! thread team.
 
 use std::ops::Range;
 
@@ -25,7 +26,8 @@ impl From<LearnerError> for Error {
 }
 
 impl Sim {
-    /// A learner for this simulation's envs, robots and observations, with the simulation's seed. Its networks' numbers are zero.
+    /// A learner for this simulation's envs, robots and observations, with the simulation's seed.
+    /// Its networks begin with zeros.
     ///
     /// # Errors
     /// Options that are out of range; networks that name no columns of a task with several observation groups; a simulation of a share

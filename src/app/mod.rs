@@ -42,12 +42,12 @@ impl Sim {
     /// Loads the task and its robots, spawns everything and resets all envs.
     ///
     /// # Errors
-    /// Whatever is wrong with the options, the configs or the URDFs.
+    /// Any fault of the options, the configs or the URDFs.
     pub fn new(options: &SimOptions) -> Result<Self, Error> {
         Self::with_registry(options, Registry::builtin())
     }
 
-    /// The same with terms of one's own.
+    /// Like [`Sim::new`], with a user's terms.
     ///
     /// # Errors
     /// As [`Sim::new`].
@@ -55,7 +55,8 @@ impl Sim {
         Self::with_resource(options, registry)
     }
 
-    /// The same with a resource that is there before the plugins are: terms, or a task and robots that are loaded.
+    /// Like [`Sim::new`], with a resource that is inserted before the plugins: terms, or a task and
+    /// robots that are loaded.
     fn with_resource(options: &SimOptions, resource: impl Resource) -> Result<Self, Error> {
         let mut app = App::empty();
         app.insert_resource(resource).insert_resource(options.clone()).add_plugins(PolypodPlugins);
@@ -67,7 +68,7 @@ impl Sim {
     /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of [`ControlStep`] run in each step.
     ///
     /// # Errors
-    /// Whatever is wrong with the options, the configs, the URDFs or the plugins.
+    /// Any fault of the options, the configs, the URDFs or the plugins.
     pub fn from_app(mut app: App) -> Result<Self, Error> {
         let Some(options) = app.world().get_resource::<SimOptions>().cloned() else {
             let remedy = "insert it as a resource: app.insert_resource(SimOptions::new(task, num_envs))";
@@ -101,7 +102,7 @@ impl Sim {
                 "pass one row of actions per env",
             ));
         }
-        // all of them at once, and only then one by one
+        // all of them at once, then one by one to find the culprit
         let within = |a: &f32| a.abs() <= MAX_ACTION;
         let all_within = actions.iter().fold(true, |all, a| all & within(a));
         if !all_within && let Some(at) = actions.iter().position(|a| !within(a)) {
@@ -183,7 +184,7 @@ impl Sim {
         outcome(self.world.run_system_cached(place_envs))
     }
 
-    /// The dense arrays.
+    /// The dense arrays of the last control step.
     pub fn batch(&self) -> &Batch {
         self.world.resource::<Batch>()
     }
@@ -212,8 +213,8 @@ impl Sim {
         all.to_string()
     }
 
-    /// A hash of [`resolved_config`](Self::resolved_config) and the robots' URDFs: of all that decides what the
-    /// simulation does, but for the seed and the number of envs.
+    /// A hash of [`resolved_config`](Self::resolved_config) and the robots' URDFs. It covers all
+    /// that decides the simulation, except the seed and the number of envs.
     pub fn config_hash(&self) -> u64 {
         let urdfs = self.loaded_robots().iter().map(|robot| robot.urdf_text.as_str());
         let text: String = std::iter::once(self.resolved_config().as_str()).chain(urdfs).collect();
@@ -230,7 +231,7 @@ impl Sim {
         &self.task().commands
     }
 
-    /// The ECS world, for queries and for plugins of one's own.
+    /// The ECS world, for queries and for a user's plugins.
     pub fn world(&self) -> &World {
         &self.world
     }
@@ -286,11 +287,11 @@ impl Sim {
         self.dump_dir.as_deref()
     }
 
-    /// From now on dumps the first state of each robot that breaks to a file in this directory, or none. A robot of which
-    /// a state was dumped before is left out.
+    /// Sets the directory for dumps: one file for the first broken state of each robot. None
+    /// switches dumps off. A robot with a dump is not dumped again.
     ///
     /// # Errors
-    /// A path that no folder has.
+    /// A path that names no possible folder.
     pub fn set_dump_dir(&mut self, dump_dir: Option<PathBuf>) -> Result<(), Error> {
         if dump_dir.as_ref().is_some_and(|dir| dir.as_os_str().as_encoded_bytes().contains(&0)) {
             return Err(Error::argument("dump_dir", "the path has a zero byte", "name a folder"));
@@ -303,7 +304,7 @@ impl Sim {
     }
 }
 
-/// Builds a schedule, so that systems of a user's that contradict each other are an error and no panic.
+/// Builds a schedule. A contradiction between a user's systems is an error here, not a panic.
 fn initialise(world: &mut World, label: InternedScheduleLabel) -> Result<(), Error> {
     let failed =
         |problem: String| Error::argument("plugins", problem, "order the systems of your plugins by sets and .after()");

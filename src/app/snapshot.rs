@@ -26,7 +26,7 @@ struct Snapshot {
     /// Number of its first env in the whole batch.
     first_env: u64,
     batch: Batch,
-    /// None without [`LogsPlugin`](crate::systems::LogsPlugin).
+    /// Absent without [`LogsPlugin`](crate::systems::LogsPlugin).
     logs: Option<Logs>,
     engine: Vec<Vec<u8>>,
     components: Vec<SavedColumn>,
@@ -50,15 +50,15 @@ impl Sim {
     fn header(&self) -> Header {
         let robots: Vec<&str> = self.morphologies().iter().map(|m| m.name()).collect();
         let mut robots = robots.join(", ");
-        // slots that no robot has
+        // slots that none of the robots has
         let slots = self.slots().joints.iter();
         let is_absent = |slot: &&Slot| !self.morphologies().iter().any(|robot| robot.roles.slots.contains(slot));
         slots.filter(is_absent).for_each(|slot| robots += &format!(", {slot}"));
         Header::new(KIND, FORMAT, robots, self.config_hash(), self.share().num_envs)
     }
 
-    /// Everything that decides what happens next, as bytes: restoring them and stepping gives, bit for bit, what going on
-    /// would have given.
+    /// All that decides what happens next, as bytes. A restored simulation steps on with the same
+    /// bits.
     ///
     /// # Errors
     /// When it cannot be encoded.
@@ -75,14 +75,15 @@ impl Sim {
         sealed::seal(&self.header(), &snapshot).map_err(unwritable)
     }
 
-    /// Goes back to a snapshot of a simulation of the same version, task, robots and number of envs. One of a larger share of the envs will
-    /// do: this simulation takes its own, and the statistics of the episodes where it has the first env.
+    /// Restores a snapshot of a simulation of the same version, task, robots and number of envs. A
+    /// snapshot of a larger share of the envs works too: this simulation takes its envs, and the
+    /// statistics of the episodes if it has the first env.
     ///
     /// # Errors
     /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
-        // nothing is written before all is checked
+        // check everything before anything is written
         let sizes = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
         let own = &self.share().envs;
         let rows = HeldRows {
@@ -146,10 +147,10 @@ impl Sim {
         postcard::to_stdvec(&logs).map_err(|error| Error::Snapshot(error.to_string()))
     }
 
-    /// Adds what [`Sim::take_logs`] gave.
+    /// Adds the statistics that [`Sim::take_logs`] returned.
     ///
     /// # Errors
-    /// Bytes that are none, or of other robots or terms.
+    /// Invalid bytes, or statistics of another simulation.
     pub fn add_logs(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let logs: Option<Option<Logs>> = postcard::from_bytes(bytes).ok();
         let ours = self.world.get_resource_mut::<Logs>();
@@ -166,8 +167,7 @@ impl Sim {
     }
 }
 
-/// The snapshot of the shares that these snapshots are of, in the order of their envs: byte for byte the one of a simulation that has
-/// all of their envs.
+/// Joins snapshots of consecutive shares into the snapshot of the whole batch, byte for byte.
 ///
 /// # Errors
 /// Bytes that are no snapshots, or shares that do not follow one another.

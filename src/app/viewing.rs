@@ -60,8 +60,8 @@ impl Sim {
         rows
     }
 
-    /// Where the rays of each robot's height scanner hit the ground, in the world, m, row-major `[num_envs, rays, 3]`; none
-    /// where the task has no scanner.
+    /// Points on the ground that the rays of each robot's height scanner hit, in the world, m,
+    /// row-major `[num_envs, rays, 3]`; empty where the task has no scanner.
     pub fn height_scan(&mut self) -> Vec<f32> {
         let Some(scanner) = &self.task().config.sensors.height_scanner else {
             return Vec::new();
