@@ -55,6 +55,6 @@ pub struct DivergenceRecord {
     pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,
-    /// The robot after the step: broken.
+    /// The robot after the step, with its broken state.
     pub after: Motion,
 }

@@ -58,7 +58,7 @@ pub struct Violation {
 }
 
 impl StateLimits {
-    /// The first number that is not finite or beyond its limit; `value` reads one.
+    /// The first number that is not finite or beyond its limit; `value` reads it from a `T`.
     pub(crate) fn violation<T: Copy>(
         &self,
         numbers: StateNumbers<'_, T>,
@@ -72,7 +72,7 @@ impl StateLimits {
         })
     }
 
-    /// The largest allowed magnitudes.
+    /// The largest allowed magnitude of each quantity.
     #[inline(always)]
     pub(crate) fn of_quantities(&self) -> [(Quantity, f32); 7] {
         [

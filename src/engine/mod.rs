@@ -37,8 +37,8 @@ pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, 
 /// A robot's motion depends on its own row and numbers alone, and no bit depends on the number of
 /// threads. A state that is not finite stays in its row: the pipeline ends the episode.
 pub trait Engine: Send + Sync {
-    /// Takes over the numbers of an env's robot (masses, lengths, gains, friction): of all before the first step, and then of those
-    /// that have changed.
+    /// Takes over the parameters of an env's robot (masses, lengths, gains, friction): of all
+    /// robots before the first step, and then of those that have changed.
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>);
 
     /// Makes the physics steps of a control step. For each morphology that `run` watches, returns
@@ -62,8 +62,8 @@ pub trait Engine: Send + Sync {
         if envs.is_empty() { Ok(()) } else { Err("the engine keeps nothing".into()) }
     }
 
-    /// Takes up what [`save`](Self::save) gave, once components and numbers are set; bytes that [`check`](Self::check) refuses
-    /// change nothing.
+    /// Restores what [`save`](Self::save) returned, once components and parameters are set; bytes
+    /// that [`check`](Self::check) refuses change nothing.
     ///
     /// # Errors
     /// As [`check`](Self::check).
@@ -72,7 +72,7 @@ pub trait Engine: Send + Sync {
     }
 }
 
-/// An engine of rows as one of the pipeline.
+/// An engine of rows as an [`Engine`] of the pipeline.
 struct TaskEngine(Box<dyn RowEngine<Components>>);
 
 impl Engine for TaskEngine {
@@ -97,32 +97,35 @@ impl Engine for TaskEngine {
     }
 }
 
-/// Steps the bodies of all robots, which its caller keeps in rows of one family.
+/// Steps the bodies of all robots. The caller keeps them in rows of one family.
 pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
     /// Bytes of each env that decide how it goes on, beyond its rows.
     fn save(&self) -> Result<Vec<Vec<u8>>, postcard::Error> {
         Ok(Vec::new())
     }
-    /// Whether these bytes are such.
+    /// Whether the bytes are those of [`save`](Self::save) for this engine.
     fn check(&self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         if envs.is_empty() { Ok(()) } else { Err(postcard::Error::DeserializeBadEncoding) }
     }
-    /// Takes them up, once the rows and the robots' numbers are set; bytes that [`RowEngine::check`] refuses change nothing.
+    /// Restores the bytes, once the rows and the robots' parameters are set; bytes that
+    /// [`RowEngine::check`] refuses change nothing.
     fn load(&mut self, _envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         Ok(())
     }
-    /// Takes over a robot's numbers.
+    /// Takes over a robot's parameters.
     fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>);
-    /// Sets which joints of a morphology's robots have their gains act on the beginning of each physics step.
+    /// Sets the joints of a morphology's robots whose gains are explicit: they act on the beginning
+    /// of each physics step.
     fn set_explicit(&mut self, morphology: usize, explicit: &[bool]);
     /// Writes state and report of a [resident](RowFamily::RESIDENT) robot to the first of these rows.
     fn fetch(&self, env: usize, rows: F::Rows<'_>);
     /// Sets state and report of a resident robot to those of the first row.
     fn restart(&mut self, env: usize, rows: F::Rows<'_>);
-    /// Makes `run.steps` physics steps of all robots, those of each morphology a block. Returns of each morphology that `run` watches the
-    /// first env whose new state is broken.
+    /// Makes `run.steps` physics steps of all robots, one block for each morphology. For each
+    /// morphology that `run` watches, returns the record of the first env whose new state is
+    /// broken.
     fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord>;
-    /// How far the links' origins are from where forward kinematics has them, at most, m.
+    /// Largest distance of the links' origins from those of forward kinematics, m.
     fn link_drift(&self, _env: usize) -> f64 {
         0.0
     }
@@ -135,9 +138,9 @@ pub struct Run<'a> {
     pub steps: usize,
     /// Whether the gains pull to the targets, as in a task. Without them the feed-forward efforts act alone.
     pub gains: bool,
-    /// When a state is broken.
+    /// Limits beyond which a state is broken.
     pub limits: &'a StateLimits,
-    /// Whether broken states are looked for, `[morphologies]`.
+    /// Whether to look for broken states, `[morphologies]`.
     pub watched: &'a [bool],
 }
 
@@ -149,9 +152,10 @@ pub(crate) struct Kind<'a, T> {
     pub(crate) align: &'a [DMat3],
     /// Collision shapes that may touch each other, counted body after body.
     pub(crate) shape_pairs: &'a [[usize; 2]],
-    /// The numbers of every robot to begin with.
+    /// Initial parameters of every robot.
     pub(crate) nominal: &'a Parameters<T>,
-    /// Group of each contact body, by which robots are put side by side. Resident robots stay where they are and need none.
+    /// Group of each contact body, by which robots are sorted into packs. Resident robots are not
+    /// sorted and need none.
     pub(crate) body_groups: &'a [BodyGroup],
     /// Contact bodies whose forces are reported in every physics step.
     pub(crate) feet: &'a [usize],
@@ -184,7 +188,7 @@ pub(crate) enum EngineChoice {
     Avian(usize, Vec<Part>),
 }
 
-/// The engine of a choice for robots of some kinds, which are in contiguous blocks of rows.
+/// The engine of a choice for robots of some morphologies, which are in contiguous blocks of rows.
 ///
 /// # Errors
 /// A feature that Avian's engine cannot simulate.
@@ -216,7 +220,7 @@ pub(crate) fn make<F: RowFamily>(
     })
 }
 
-/// Control steps of targets that an actuator can still see.
+/// Number of control steps whose targets an actuator can still see.
 pub(crate) fn history_length(max_delay: u32, decimation: usize) -> usize {
     1 + (max_delay as usize).div_ceil(decimation)
 }

@@ -1,4 +1,4 @@
-//! The engines that tasks may name, and what they are made from.
+//! The engines that tasks may name, and the inputs of their factories.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -76,7 +76,8 @@ pub trait EngineFactory: Send + Sync + 'static {
         false
     }
 
-    /// Pieces of work that threads can share out: more threads than that are not made. Default: one for each env.
+    /// Number of pieces of work that threads can share; no more threads than pieces are made.
+    /// Default: one for each env.
     fn pieces(&self, blocks: &BlockSizes) -> usize {
         blocks.num_envs()
     }
@@ -103,7 +104,7 @@ impl Default for Engines {
 }
 
 impl Engines {
-    /// Adds an engine, or replaces the one of that name.
+    /// Adds an engine, or replaces the engine of that name.
     pub fn add(&mut self, name: &'static str, factory: impl EngineFactory) {
         self.0.insert(name, Arc::new(factory));
     }
@@ -111,7 +112,7 @@ impl Engines {
     /// The engine that a task names.
     ///
     /// # Errors
-    /// There is none of that name.
+    /// An engine that no plugin has added.
     pub fn of(&self, task: &TaskConfig) -> Result<&dyn EngineFactory, ConfigError> {
         let name = task.physics.engine.as_str();
         self.0.get(name).map(Arc::as_ref).ok_or_else(|| {

@@ -1,4 +1,5 @@
-//! The rows that an engine reads and writes: one robot each, whatever type of number and memory its caller keeps it in.
+//! The rows that an engine reads and writes, one robot each; their caller chooses numbers and
+//! memory.
 
 use smallvec::SmallVec;
 
@@ -11,7 +12,7 @@ use crate::dynamics::lanes::{Real, prefetch};
 use crate::dynamics::{Drive, Report, State};
 use crate::workers::SplitRows;
 
-/// Rows of one caller, for any time that an engine borrows them.
+/// Rows of one caller, for any lifetime of an engine's borrow.
 pub(crate) trait RowFamily: 'static {
     /// Whether the engine keeps the robots' states between steps. [`RowEngine::fetch`](super::RowEngine::fetch) then reads them and
     /// [`RowEngine::restart`](super::RowEngine::restart) writes them; a step asks its rows for the drive alone. Else the rows keep them.
@@ -47,17 +48,17 @@ pub(crate) trait RobotRows: SplitRows {
     /// [`NetworkStep::memory`](crate::dynamics::NetworkStep::memory).
     fn memory(&self, row: usize) -> &[Self::Number];
 
-    /// The same, to write.
+    /// Memory of the actuator networks, to write.
     fn memory_mut(&mut self, row: usize) -> &mut [Self::Number];
 
-    /// Impulses of the contacts; of joint limits and dry friction, `[joints]`.
+    /// Impulses of the contacts, and of joint limits and dry friction, `[joints]`.
     fn impulses(&self, row: usize) -> (&Contacts<Self::Number>, &[Self::Number]);
 
-    /// The same, to write.
+    /// Impulses to write.
     fn impulses_mut(&mut self, row: usize) -> (&mut Contacts<Self::Number>, &mut [Self::Number]);
 
-    /// Writes the report of a control step. Forces act on contact bodies that are `feet`, and on those of the others that are `touching`
-    /// something.
+    /// Writes the report of a control step. Forces act on the contact bodies `feet`, and on the
+    /// other bodies `touching` that touch something.
     fn write_report<L: Real>(
         &mut self,
         row: usize,
@@ -67,10 +68,10 @@ pub(crate) trait RobotRows: SplitRows {
         lane: usize,
     );
 
-    /// Reads what rows of [resident](RowFamily::RESIDENT) robots hold of the report.
+    /// Reads the report of [resident](RowFamily::RESIDENT) robots, as far as rows hold it.
     fn read_report<L: Real>(&self, _row: usize, _report: &mut Report<L>, _lane: usize) {}
 
-    /// Asks for a row's memory.
+    /// Prefetches the memory of a row.
     fn prefetch(&self, _row: usize) {}
 
     /// Writes new states. If a row diverged, returns its state before and after the step, where rows keep records. `first_env` is the env
@@ -96,7 +97,8 @@ impl RowFamily for Components {
     type Rows<'a> = RobotSlices<'a>;
 }
 
-/// Writes the struct of the components that engines read and write, and what is done with all of them.
+/// Defines the struct of the components that engines read and write, and the operations over all of
+/// them.
 macro_rules! robot_slices {
     ($($(#[$doc:meta])* $name:ident: $component:ty,)*) => {
         /// The components that an engine reads and writes of one morphology's robots, one row for each robot.
@@ -106,7 +108,7 @@ macro_rules! robot_slices {
             $($(#[$doc])* pub $name: &'a mut [$component],)*
         }
 
-        /// The same components but for those of envs, as a query.
+        /// The same components, without those of envs, as a query.
         pub(crate) type RobotColumns = ($(&'static mut $component,)*);
 
         impl<'a> RobotSlices<'a> {
@@ -115,7 +117,7 @@ macro_rules! robot_slices {
                 Self { origins, $($name,)* }
             }
 
-            /// Asks for a row's memory.
+            /// Prefetches the memory of a row.
             #[inline]
             fn prefetch_row(&self, row: usize) {
                 prefetch(&self.origins[row]);
@@ -142,7 +144,7 @@ robot_slices! {
     joints: JointState,
     /// Joint position targets of this control step and the ones before.
     targets: JointTargets,
-    /// How many physics steps late each joint's target comes.
+    /// Delay of each joint's target, physics steps.
     delays: ActuatorDelay,
     /// Memory of the actuator networks: read, then written.
     memories: ActuatorMemory,

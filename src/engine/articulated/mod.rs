@@ -1,8 +1,9 @@
 //! The articulated engine: robots of a morphology are stepped side by side in packs.
 //!
-//! Robots that are at home in their rows are gathered into packs before a step and scattered back after it. In between the pack holds the
-//! new states and the rows still the old ones. There a state that broke is noticed together with what it came from, see
-//! [`DivergenceRecord`]. Resident robots stay in their packs.
+//! Robots that live in rows are gathered into packs before a step and scattered back after it. In
+//! between the pack holds the new states and the rows still hold the old ones, so a state that
+//! diverges is recorded with its predecessor, see [`DivergenceRecord`]. Resident robots stay in
+//! their packs.
 
 mod ordering;
 mod parameter_deltas;
@@ -26,7 +27,7 @@ use workspace::{Pack, PackWorkspace};
 /// Neighbouring rows of one morphology, which a thread steps pack by pack.
 struct Task<'a, L: Real, R> {
     morphology: usize,
-    /// The first one, among those of the morphology.
+    /// First row of the task among those of the morphology.
     first: usize,
     rows: R,
     /// See [`Packs::keys`].
@@ -34,7 +35,7 @@ struct Task<'a, L: Real, R> {
     resident: Resident<'a, L>,
 }
 
-/// Packs of resident robots; none where robots are at home in their rows. Rows are cut where packs end.
+/// Packs of resident robots; absent where robots live in rows. Tasks end where packs end.
 struct Resident<'a, L: Real>(&'a mut [Pack<L>]);
 
 impl<L: Real> SplitRows for Resident<'_, L> {
@@ -44,16 +45,17 @@ impl<L: Real> SplitRows for Resident<'_, L> {
     }
 }
 
-/// The robots of a morphology, and what they keep from one control step to the next beyond their rows.
+/// The robots of a morphology, with the data that they keep between control steps beyond their
+/// rows.
 struct Bodies<L, T> {
     first_env: usize,
-    /// Where its packs begin in [`Packs::resident`].
+    /// Index of its first pack in [`Packs::resident`].
     first_pack: usize,
     count: usize,
     topology: Topology,
     networks: Vec<ActuatorNetwork>,
     nominal: Parameters<L>,
-    /// The same, once.
+    /// The morphology's parameters, in one lane.
     kind: Parameters<f32>,
     /// Whether all bodies have the morphology's numbers, see [`Parameters::is_alike`].
     alike: bool,
@@ -61,7 +63,7 @@ struct Bodies<L, T> {
     bits: DemandBits,
 }
 
-/// Where a thread steps packs.
+/// A thread's memory for stepping packs.
 struct Scratch<L: Kernels> {
     /// Workspace of each morphology.
     benches: Vec<PackWorkspace<L>>,
@@ -130,8 +132,8 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         (first_pack + row / L::LANES, lane..if row + 1 == *count { L::LANES } else { lane + 1 })
     }
 
-    /// The tasks of a control step. The last ones are small, so that threads end together. Robots find their like among those of their
-    /// task: the kinds that have the most places to touch something with come first.
+    /// The tasks of a control step. The last ones are small, so that threads end together. Robots
+    /// are sorted within a task: morphologies with many contact candidates are scheduled first.
     fn share_out<'a, R: RobotRows>(
         bodies: &[Bodies<L, T>],
         order: &[usize],
@@ -215,7 +217,8 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                         }
                         None => {
                             visitors.gather(&rows, lanes);
-                            // the next ones: where rows are not in the order of memory, the machine does not see them come
+                            // prefetch the next rows: the processor cannot guess them where rows
+                            // are not in the order of memory
                             for &row in order.iter().skip((index + 1) * L::LANES).take(L::LANES) {
                                 rows.prefetch(row);
                             }
@@ -231,7 +234,7 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                     while left > 0 {
                         let decimation = left.min(settings.decimation);
                         let settings = &StepSettings { decimation, ..*settings };
-                        // networks are asked before every physics step
+                        // networks are evaluated before every physics step
                         let asks = !networks.is_empty() && run.gains;
                         let at_once = if asks { 1 } else { decimation };
                         for substep in (0..decimation).step_by(at_once) {

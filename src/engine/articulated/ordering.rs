@@ -8,7 +8,8 @@
 use crate::dynamics::lanes::Real;
 use crate::robot::BodyGroup;
 
-/// Bits by which what a robot asks for decides its place, in the order of [`Report::demands`](crate::dynamics::Report::demands).
+/// Bits of the sort key for each demand of a robot, in the order of
+/// [`Report::demands`](crate::dynamics::Report::demands).
 pub(super) struct DemandBits(Vec<u32>);
 
 impl DemandBits {
@@ -45,7 +46,7 @@ impl DemandBits {
     }
 }
 
-/// Rows in the order of their keys; a scratch list that threads keep.
+/// Rows in the order of their keys. A list that each thread keeps as scratch memory.
 #[derive(Default)]
 pub(super) struct PackOrder {
     /// Key, then row.
@@ -54,14 +55,14 @@ pub(super) struct PackOrder {
 }
 
 impl PackOrder {
-    /// All rows as they are.
+    /// Keeps all rows in their order.
     pub(super) fn keep(&mut self, count: usize) -> &[usize] {
         self.rows.clear();
         self.rows.extend(0..count);
         &self.rows
     }
 
-    /// All rows, one for each key, in the order of the keys.
+    /// Sorts all rows by their keys, one for each row.
     pub(super) fn sort(&mut self, keys: &[u32]) -> &[usize] {
         self.keyed.clear();
         self.keyed.extend((0..).zip(keys).map(|(row, &key)| u64::from(key) << 32 | row));
@@ -84,7 +85,8 @@ mod tests {
         // demands of each robot beyond its feet, in the expected order: bodies 0 to 6, blocks 7 and
         // 8, a push
         let kinds: [&[usize]; 6] = [&[], &[9], &[8], &[4], &[1, 9], &[0]];
-        // not in that order, and one without its second foot, which comes first of all
+        // an order unlike the expected one, with a robot without its second foot, which comes first
+        // of all
         let kind = |row: usize| if row == 42 { None } else { Some((row * 5 + 2) % kinds.len()) };
         let key = |row| {
             let asks = |demand| match kind(row) {

@@ -65,8 +65,9 @@ impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
         *self = Self::All(packs);
     }
 
-    /// The numbers of a pack: of some rows, counted from `first`, which are those of pack `pack` from there unless they [may
-    /// mix](Self::may_mix). `nominal` are the morphology's, but for what this put there before.
+    /// The parameters of a pack, for some `rows`, counted from `first`. Unless packs [may
+    /// mix](Self::may_mix), these are the rows of pack `pack`. `nominal` holds the morphology's
+    /// parameters, or the result of an earlier call.
     pub(super) fn of_pack<'a>(
         &'a self,
         first: usize,
@@ -100,7 +101,8 @@ impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
         numbers
     }
 
-    /// Puts the few numbers of rows, counted from `first`, into lanes; lanes beyond them shadow the last row.
+    /// Writes the deltas of `rows`, counted from `first`, into lanes; lanes beyond them shadow the
+    /// last row.
     fn put(&self, first: usize, rows: &[usize], numbers: &mut Parameters<L>) {
         if let Self::Few { places, values } = self {
             numbers.for_each_at(places, |k, x| {
@@ -120,8 +122,8 @@ fn row_of<T>(values: &mut [T], row: usize, width: usize) -> &mut [T] {
     &mut values[row * width..(row + 1) * width]
 }
 
-/// Writes a body's numbers at the known places to its row. Returns further places where it differs, with the morphology's numbers, but no
-/// more than make too many.
+/// Writes a body's numbers at the known places to its row. Returns further places where it differs,
+/// with the morphology's numbers, up to one more than fits.
 fn set_known<L: Lanes, T: Real>(
     places: &[u32],
     row: &mut [T],
@@ -191,7 +193,7 @@ mod tests {
         ];
         let many: fn(&mut Parameters<f32>, f32) =
             |body, x| body.inertia.as_flattened_mut().iter_mut().for_each(|i| *i += x);
-        // one number after the other becomes some body's own, and at last more than a few do
+        // one number after the other differs in some body, until more than a few do
         for (round, change) in few.into_iter().chain([many]).enumerate() {
             for row in (round % 3..count).step_by(3).chain([count - 1]) {
                 change(&mut bodies[row], 0.001 * (row + 7 * round) as f32);

@@ -7,10 +7,10 @@ use crate::components::ContactImpulse;
 use crate::dynamics::lanes::{Kernel, Lanes, Real};
 use crate::dynamics::{ActuatorNetwork, Drive, Parameters, Report, State, Workspace};
 
-/// One pack: robots side by side in lanes. The numbers of their bodies are elsewhere.
+/// One pack: robots side by side in lanes. Their bodies' parameters are in [`PackWorkspace`].
 #[derive(Clone)]
 pub(super) struct Pack<L: Real> {
-    /// Where the envs' origins are on the terrain, m.
+    /// Origins of the envs on the terrain, m.
     pub(super) origin: [L; 2],
     pub(super) state: State<L>,
     pub(super) drive: Drive<L>,
@@ -25,7 +25,7 @@ pub(super) struct Pack<L: Real> {
     touching: Vec<usize>,
 }
 
-/// Where a thread steps one pack of a morphology after the other.
+/// A thread's memory for stepping the packs of a morphology, one after the other.
 pub(super) struct PackWorkspace<L: Real> {
     /// Parameters of the morphology.
     pub(super) nominal: Parameters<L>,
@@ -34,12 +34,12 @@ pub(super) struct PackWorkspace<L: Real> {
     pub(super) work: Workspace<L>,
     /// Inputs of the actuator networks.
     pub(super) features: Vec<L>,
-    /// A pack whose robots are at home in rows; its contents mean nothing between two.
+    /// The pack of robots that live in rows; its contents mean nothing between two packs.
     pub(super) pack: Pack<L>,
 }
 
 impl<L: Lanes> PackWorkspace<L> {
-    /// For a kind whose numbers are `nominal` in every lane.
+    /// Memory for a morphology whose parameters are `nominal` in every lane.
     pub(super) fn new<T>(kind: &Kind<T>, nominal: &Parameters<L>, decimation: usize) -> Self {
         Self {
             nominal: nominal.clone(),
@@ -52,7 +52,7 @@ impl<L: Lanes> PackWorkspace<L> {
 }
 
 impl<L: Lanes> Pack<L> {
-    /// At rest at the world's origin.
+    /// Robots at rest at the world's origin.
     pub(super) fn new<T>(kind: &Kind<T>, decimation: usize) -> Self {
         let topology = kind.topology;
         Self {
@@ -83,7 +83,7 @@ impl<L: Lanes> Pack<L> {
         self.state.pressing.sort_unstable();
     }
 
-    /// Reads what is asked of the robots in rows alone.
+    /// Reads the drives of robots from their rows, without states.
     pub(super) fn gather_drive(&mut self, rows: &impl RobotRows, order: &[usize]) {
         clear_drive(&mut self.drive);
         for lane in 0..L::LANES {

@@ -19,12 +19,12 @@ use crate::dynamics::{
 use crate::obstacles::Part;
 use crate::workers::Workers;
 
-/// Robots of all kinds.
+/// Robots of all morphologies.
 pub(crate) struct AvianRobots {
     blocks: Vec<Block>,
 }
 
-/// The robots of one kind.
+/// The robots of one morphology.
 struct Block {
     first_env: usize,
     count: usize,
@@ -54,7 +54,8 @@ struct Block {
 }
 
 impl AvianRobots {
-    /// Robots of these kinds, in contiguous blocks, on the plane of the settings and among `statics`.
+    /// Robots of these morphologies, in contiguous blocks, on the plane of the settings and among
+    /// `statics`.
     pub(crate) fn new<T: Real>(
         settings: &StepSettings,
         substeps: usize,
@@ -200,7 +201,7 @@ impl Block {
         })
     }
 
-    /// Sets the robots whose rows are not what the engine left.
+    /// Sets the robots whose rows differ from the engine's state.
     fn gather<R: RobotRows>(&mut self, rows: &R) {
         for row in 0..self.count {
             put(&mut self.memories[row], rows.memory(row), 0);
@@ -221,7 +222,7 @@ impl Block {
         }
     }
 
-    /// Takes over what is asked of the robots.
+    /// Reads the drives of the robots.
     fn gather_drive(&mut self, rows: &impl RobotRows) {
         for (row, drive) in self.drives.iter_mut().enumerate() {
             clear_drive(drive);
@@ -246,7 +247,7 @@ impl Block {
         }
     }
 
-    /// Evaluates the networks of all robots, whose efforts become feed-forward.
+    /// Evaluates the networks of all robots, whose efforts become feed-forward efforts.
     fn ask_networks(&mut self, substep: usize) {
         if self.networks.is_empty() {
             return;
@@ -267,7 +268,7 @@ impl Block {
         }
     }
 
-    /// Gives every actuator the target from its delay ago.
+    /// Gives every actuator the target of its delay.
     fn aim(&mut self, substep: usize) {
         for (row, Drive { targets, delay, feedforward, .. }) in self.drives.iter().enumerate() {
             for joint in 0..self.topology.num_joints() {
@@ -329,7 +330,7 @@ impl Block {
     }
 }
 
-/// Whether numbers are those that were written into a row of numbers `T` before.
+/// Whether `ours` equals the row of numbers `T` that was written before.
 fn equal<T: Real>(ours: &[f64], row: &[f64]) -> bool {
     ours.iter().zip(row).all(|(&x, &y)| T::splat(x).lane(0) == y)
 }

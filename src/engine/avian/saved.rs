@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::world::{Tangents, push_contacts};
 use super::{Chunk, Worlds};
 
-/// One robot, to the bit.
+/// One robot, with all its bits.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct SavedRobot {
     /// Origin of its env in the world.
@@ -45,7 +45,7 @@ struct SavedJoint {
 /// Contact between two colliders in the last physics step.
 #[derive(Serialize, Deserialize)]
 struct SavedPair {
-    /// Its place among those of the robot.
+    /// Index of the pair among those of the robot.
     place: u32,
     tangents: [[f32; 3]; 2],
     manifolds: Vec<Vec<SavedPoint>>,
@@ -66,8 +66,8 @@ impl Worlds {
         postcard::to_stdvec(&chunk.save(i, self.topology.num_links()))
     }
 
-    /// Brings the robots of all envs to where they were saved: what steps give from there is the same to the bit, once
-    /// the envs' numbers are the same. Bytes that are no such robots change nothing.
+    /// Restores the robots of all envs. With the same parameters of the envs, steps from there have
+    /// the same bits. Bytes that are no such robots change nothing.
     pub(crate) fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), postcard::Error> {
         let robots = self.saved(envs)?;
         let mut rest = robots.as_slice();
@@ -82,7 +82,7 @@ impl Worlds {
         Ok(())
     }
 
-    /// The robots of all envs, if these bytes are such.
+    /// The robots of all envs, if the bytes hold such robots.
     pub(crate) fn saved(&self, envs: &[Vec<u8>]) -> Result<Vec<SavedRobot>, postcard::Error> {
         let robots = envs.iter().map(|bytes| postcard::from_bytes(bytes)).collect::<Result<Vec<SavedRobot>, _>>()?;
         let (links, joints) = (self.topology.num_links(), self.topology.num_joints());
