@@ -33,7 +33,7 @@ pub(super) struct Env {
 }
 
 impl Env {
-    /// All numbers zero, to be read into.
+    /// An env with zeros, for reading into it.
     pub(super) fn zeros(topology: &Topology, remembered: usize) -> Self {
         let joints = topology.num_joints();
         let (pose, twist) = if topology.floating { (POSE, TWIST) } else { (0, 0) };

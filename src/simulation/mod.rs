@@ -71,7 +71,7 @@ pub struct Simulation {
     effort_scale: Vec<f64>,
     settings: StepSettings,
     engine: Box<dyn RowEngine<Envs>>,
-    /// The numbers of each env's robot, as precise as the engine computes.
+    /// Parameters of each env's robot, as precise as the engine computes.
     bodies: Vec<Parameters<f64>>,
     workers: Workers,
     simd: Simd,
@@ -88,7 +88,7 @@ impl Simulation {
     /// Loads the robot and puts one into each env, at rest in the default pose.
     ///
     /// # Errors
-    /// Whatever is wrong with the options, the robot's config or its URDF.
+    /// Any fault of the options, the robot's config or its URDF.
     pub fn new(options: &SimulationOptions) -> Result<Self, Error> {
         options.validate()?;
         let simd = Simd::choose(options.simd)?;
@@ -223,8 +223,9 @@ impl Simulation {
         self.steps as f64 * self.settings.dt
     }
 
-    /// The pose to begin with, `[nq]`: a library robot's default pose, zero (or the nearest limit) for a URDF. The base is
-    /// level, and its lowest collision shape touches the ground; without ground it is at the world's origin.
+    /// Initial pose, `[nq]`: the default pose of a library robot, zero (or the nearest limit) for a
+    /// URDF. The base is level, and its lowest collision shape touches the ground; without ground
+    /// it is at the world's origin.
     pub fn default_qpos(&self) -> &[f64] {
         &self.default_qpos
     }
@@ -234,8 +235,8 @@ impl Simulation {
         self.robot.model.joints.iter().map(|joint| [joint.lower, joint.upper]).collect()
     }
 
-    /// Largest effort of each joint to begin with, N m or N; infinite where there is no limit, the largest one where it
-    /// depends on the position.
+    /// Initial effort limit of each joint, N m or N; infinite where there is no limit, the largest
+    /// one where it depends on the position.
     pub fn effort_limit(&self) -> Vec<f64> {
         let limits = self.robot.nominal.effort_limit.iter().zip(&self.effort_scale);
         limits.map(|(&limit, scale)| limit * scale).collect()
@@ -331,7 +332,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// A quaternion normalised, unless it already is as far as the precision goes: what was read is written back as it was.
+    /// A quaternion, normalised unless it already is within the precision: a quaternion that was
+    /// read is written back unchanged.
     fn unit_quaternion(&self, q: [f64; 4]) -> Option<[f64; 4]> {
         let exact = match self.precision {
             Precision::Single => 1e-6,
@@ -381,7 +383,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Net force on each link in the last physics step, N, world axes, `[num_envs, links, 3]`: from whatever touches it.
+    /// Net force on each link in the last physics step, N, world axes, `[num_envs, links, 3]`, from
+    /// all its contacts.
     pub fn contact_forces(&self) -> Vec<f64> {
         let links = self.num_links();
         let mut out = vec![[0.0; 3]; self.num_envs() * links];
@@ -395,8 +398,8 @@ impl Simulation {
         out.into_flattened()
     }
 
-    /// How far the origin of any link is from where the base's pose and the joints' positions put it, at most, m,
-    /// `[num_envs]`. Only the engine `avian` lets joints come apart.
+    /// Largest distance of a link's origin from forward kinematics of base pose and joint
+    /// positions, m, `[num_envs]`. Only the engine `avian` lets joints come apart.
     pub fn link_drift(&self) -> Vec<f64> {
         (0..self.num_envs()).map(|env| self.engine.link_drift(env)).collect()
     }

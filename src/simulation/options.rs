@@ -9,7 +9,7 @@ use crate::dynamics::SWEEPS;
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
 
-/// SharedArray that a simulation computes with.
+/// Precision in which a simulation computes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Precision {
     /// Single precision, many envs side by side in SIMD lanes.

@@ -1,4 +1,4 @@
-//! From a name or a path to what the engine needs of a robot.
+//! Robots of a simulation, from a name or a path.
 
 use std::path::Path;
 
@@ -24,17 +24,17 @@ fn load_options(options: &SimulationOptions) -> LoadOptions {
     }
 }
 
-/// One kind of robot, in double precision.
+/// One robot's model, in double precision.
 pub(super) struct Robot {
     pub(super) model: Model,
     pub(super) topology: Topology,
-    /// The numbers of every env to begin with.
+    /// Initial parameters of every env.
     pub(super) nominal: Parameters<f64>,
     /// Turns a link's URDF axes into those of the engine, `[links]`.
     pub(super) align: Vec<DMat3>,
     /// Collision shapes that may touch each other, counted body after body.
     pub(super) shape_pairs: Vec<[usize; 2]>,
-    /// Joint positions to begin with, rad or m.
+    /// Initial joint positions, rad or m.
     pub(super) default_position: Vec<f64>,
     /// Networks that drive joints.
     pub(super) networks: Vec<ActuatorNetwork>,
@@ -113,8 +113,8 @@ impl Robot {
         Env::zeros(&self.topology, ActuatorNetwork::num_remembered_by(&self.networks))
     }
 
-    /// How far the lowest contact candidate is above a plane through the base's origin, in the default pose with the base
-    /// level, m; 0 without candidates.
+    /// Height of the lowest contact candidate above a plane through the base's origin, in the
+    /// default pose with the base level, m; 0 without candidates.
     pub(super) fn lowest_point(&self, normal: &[f64; 3]) -> f64 {
         lowest_point(&self.topology, &self.nominal, &self.default_position, normal)
     }

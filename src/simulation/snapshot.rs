@@ -24,7 +24,8 @@ struct Snapshot {
     engine: Vec<Vec<u8>>,
 }
 
-/// A hash of what decides a step but for the state and the envs' own numbers; with the substeps of the engine `avian`, if it is that.
+/// A hash of all that decides a step, except the state and the envs' own numbers. It covers the
+/// substeps of the engine `avian`.
 pub(super) fn fingerprint(robot: &Robot, settings: &StepSettings, avian_substeps: Option<usize>) -> u64 {
     let mut text = format!("{:?} {:?} {settings:?}", robot.topology, robot.nominal);
     if !robot.networks.is_empty() {
@@ -43,8 +44,8 @@ impl Simulation {
         Header::new(KIND, FORMAT, robots, self.fingerprint, self.num_envs())
     }
 
-    /// State, time, contact warm starts and all numbers of all envs: restoring them and stepping gives, bit for bit, what
-    /// going on would have given, for any number of threads and on any instruction set.
+    /// State, time, contact warm starts and all numbers of all envs. A restored simulation steps on
+    /// with the same bits, for any number of threads and on any instruction set.
     ///
     /// # Errors
     /// When it cannot be encoded.
@@ -57,19 +58,19 @@ impl Simulation {
         sealed::seal(&self.header(), &snapshot).map_err(unwritable)
     }
 
-    /// Goes back to a snapshot of a simulation with the same robot, options and number of envs.
+    /// Restores a snapshot of a simulation with the same robot, options and number of envs.
     ///
     /// # Errors
     /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
-        // nothing is written before all is checked
+        // check everything before anything is written
         let (topology, zeros) = (&self.robot.topology, self.robot.env());
         let envs_fit =
             snapshot.envs.len() == self.num_envs() && snapshot.envs.iter().all(|env| env.fits(&zeros, topology));
         let bodies_fit = snapshot.bodies.len() == self.num_envs()
             && snapshot.bodies.iter().zip(&self.bodies).all(|(body, ours)| body.has_sizes_of(ours));
-        // steps are counted on from there
+        // steps are counted on from the snapshot's number
         if snapshot.steps > u64::MAX / 2 || !envs_fit || !bodies_fit {
             let problem = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
             return Err(Error::Snapshot(problem.into()));
