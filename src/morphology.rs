@@ -21,7 +21,7 @@ use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, LimbKind, Mode
 /// Normal of level ground.
 pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
-/// One kind of robot.
+/// A morphology: the description and the config of a robot.
 #[derive(Clone, Debug)]
 pub struct MorphologyModel {
     /// Its config.
@@ -36,14 +36,14 @@ pub struct MorphologyModel {
     pub align: Vec<DMat3>,
     /// Collision shapes that may touch each other, counted body after body.
     pub shape_pairs: Vec<[usize; 2]>,
-    /// Their numbers before any randomisation.
+    /// Parameters before any randomisation.
     pub nominal: Parameters<f32>,
     /// The joints of a quadruped's legs, `[role][leg]` in the order of [`ROLES`](robot::ROLES) and [`LEGS`](robot::LEGS), if
     /// it has them all.
     pub quadruped: Option<QuadrupedJoints>,
-    /// The robot's slots, in order: what its actions and per-joint observations are made of.
+    /// The robot's slots, in order: the joints of its actions and per-joint observations.
     pub slots: Vec<SlotJoint>,
-    /// How a robot stands whose body is that of the URDF.
+    /// Stance of a robot with the body of the URDF.
     pub stance: Stance,
     /// Group of each contact body.
     pub body_groups: Vec<BodyGroup>,
@@ -91,11 +91,11 @@ impl SlotJoint {
     }
 }
 
-/// All kinds of robots of a simulation, in the order of their env blocks.
+/// All morphologies of a simulation, in the order of their env blocks.
 #[derive(Resource, Clone, Debug)]
 pub struct Morphologies(pub Vec<MorphologyModel>, pub BatchSlots);
 
-/// The columns of a batch: what its robots have among them.
+/// The columns of a batch: the union of its robots' slots and feet.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BatchSlots {
     /// Slots of the actions and of per-joint observations, in order.
@@ -117,7 +117,8 @@ impl BatchSlots {
 }
 
 impl Morphologies {
-    /// Robots that share a batch, whose columns are the slots that any of them has, and `more`.
+    /// Makes the morphologies of a batch, whose columns are the slots that any of them has, and
+    /// `more`.
     pub fn in_batch(mut models: Vec<MorphologyModel>, more: &[Slot]) -> Self {
         let mut columns = BatchSlots { joints: more.to_vec(), feet: Vec::new() };
         for model in &models {
@@ -134,7 +135,7 @@ impl Morphologies {
         Self(models, columns)
     }
 
-    /// The kind that a tag names.
+    /// The morphology of a tag.
     pub fn get(&self, tag: crate::components::Morphology) -> &MorphologyModel {
         &self.0[usize::from(tag.0)]
     }
@@ -260,7 +261,7 @@ impl MorphologyModel {
         Some(joints)
     }
 
-    /// Takes its columns in a batch.
+    /// Sets its columns in a batch.
     fn place_in(&mut self, batch: &BatchSlots) {
         let column_of = |slot: &Slot| batch.joints.binary_search(slot).unwrap_or(0) as u32;
         self.slots.iter_mut().for_each(|slot| slot.column = column_of(&slot.slot));
@@ -269,7 +270,7 @@ impl MorphologyModel {
     }
 }
 
-/// A robot of the library as physics knows it: its URDF with the actuators of its config.
+/// A robot of the library with all that physics needs: its URDF with the actuators of its config.
 pub(crate) struct ConfiguredRobot {
     pub(crate) model: Model,
     pub(crate) roles: Roles,
@@ -315,7 +316,7 @@ impl ConfiguredRobot {
         let actuators = config.actuators_by_slot(&roles.slots)?;
         let mut default_position = vec![0.0; model.joints.len()];
         for (slot, &joint) in roles.joint_of_slot.iter().enumerate() {
-            // without a negative zero
+            // a negative zero becomes zero
             default_position[joint] = roles.sign_of_slot[slot] * default_pose[slot] + 0.0;
         }
         let feet = roles.foot_body.iter().zip(&roles.foot_point);
@@ -369,7 +370,7 @@ fn networks(
         let mut joints: Vec<usize> = of_group.map(|(_, &joint)| joint).collect();
         joints.sort_unstable();
         let scale = config.torque_scale.unwrap_or(1.0) as f32;
-        // a program that was read for these inputs takes them
+        // never fails: the program was read for these inputs
         networks.extend(ActuatorNetwork::new(joints, inputs, scale, program));
     }
     Ok(networks)
@@ -547,19 +548,21 @@ pub struct RobotDescription {
     pub class: String,
     /// Joint positions of the default pose, rad.
     pub default_pose: Vec<f32>,
-    /// rad per unit of action.
+    /// Joint target per unit of action, rad.
     pub action_scale: f32,
     /// Stiffness of each joint, N m/rad.
     pub stiffness: Vec<f32>,
     /// Damping of each joint, N m s/rad.
     pub damping: Vec<f32>,
-    /// N m; the largest one where it depends on the angle, infinity (`null` in JSON) where there is no limit.
+    /// Effort limit of each joint, N m; the largest one where it depends on the angle, infinity
+    /// (`null` in JSON) where there is no limit.
     pub effort_limit: Vec<f32>,
-    /// rad/s: of the joint, or of its DC motor without load; infinity (`null` in JSON) where there is no limit.
+    /// Speed limit of each joint or of its DC motor without load, rad/s; infinity (`null` in JSON)
+    /// where there is no limit.
     pub velocity_limit: Vec<f32>,
-    /// rad; minus infinity (`null` in JSON) where there is no limit.
+    /// Lower position limits, rad; minus infinity (`null` in JSON) where there is no limit.
     pub lower: Vec<f32>,
-    /// rad; infinity (`null` in JSON) where there is no limit.
+    /// Upper position limits, rad; infinity (`null` in JSON) where there is no limit.
     pub upper: Vec<f32>,
     /// Height of the base above the ground in the default pose, m.
     pub base_height: f32,
@@ -637,7 +640,7 @@ impl MorphologyModel {
         drive.feedforward
     }
 
-    /// Numbers that the networks remember.
+    /// Number of values that the networks remember.
     pub fn num_remembered(&self) -> usize {
         ActuatorNetwork::num_remembered_by(&self.networks)
     }

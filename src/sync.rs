@@ -17,7 +17,7 @@ pub(crate) const SPIN_TIME: Duration = Duration::from_micros(200);
 /// Number of times that a thread spins before it yields the core between two tries.
 pub(crate) const SPINS: usize = 2000;
 
-/// Threads that sleep until they are given something to do.
+/// Threads that sleep until they are given a job.
 pub(crate) struct Pool {
     pool: Option<TaskPool>,
     /// The process that its threads live in.
@@ -31,7 +31,7 @@ impl Pool {
         Self { pool: Some(pool), process: std::process::id() }
     }
 
-    /// Has one of them call `f`.
+    /// Calls `f` on one of the threads.
     pub(crate) fn spawn(&self, f: impl FnOnce() + Send + 'static) {
         if let Some(pool) = &self.pool {
             pool.spawn(async move { f() }).detach();
@@ -40,7 +40,8 @@ impl Pool {
 }
 
 impl Drop for Pool {
-    /// Ends the threads. A forked process has none of its parent's: there is nothing to wait for.
+    /// Ends the threads. A forked process has no threads of its parent: there is nothing to wait
+    /// for.
     fn drop(&mut self) {
         if std::process::id() != self.process {
             std::mem::forget(self.pool.take());

@@ -38,7 +38,7 @@ type Job<'a> = dyn Fn() + Sync + 'a;
 struct CachePadded<T>(T);
 
 struct Shared {
-    /// Jobs so far.
+    /// Number of jobs so far.
     jobs: CachePadded<AtomicUsize>,
     /// Number of helpers that the current job uses.
     wanted: AtomicUsize,
@@ -116,14 +116,14 @@ impl ThreadTeam {
     /// Calls `job` on the caller's thread and on up to `helpers` others; returns when all have
     /// returned.
     ///
-    /// A job within a job is the caller's alone.
+    /// A nested job runs on the caller's thread alone.
     fn run(&self, helpers: usize, job: &Job) {
         if helpers == 0 || self.busy.swap(true, Ordering::Acquire) {
             return job();
         }
         let shared = &self.shared;
-        // SAFETY: the reference leaves `shared.job` below, whether or not a thread panics. Whoever has read it there before has counted
-        // itself to `inside` before that, and is waited for.
+        // SAFETY: the reference leaves `shared.job` below, whether or not a thread panics. A helper
+        // that has read it has counted itself in `inside` before that, and is waited for.
         let job_for_helpers = unsafe { std::mem::transmute::<&Job<'_>, &'static Job<'static>>(job) };
         *open(shared.job.0.write()) = Some(job_for_helpers);
         shared.wanted.store(helpers, Ordering::Relaxed);

@@ -94,29 +94,30 @@ pub struct Workers {
     dispatch: SimdDispatch,
 }
 
-/// Rows that one task takes at least; below it, starting a task costs more than it saves.
+/// Least number of rows of a task; below it, starting a task costs more than it saves.
 const MIN_CHUNK: usize = 64;
-/// Rows per thread that make another worth its while: each costs the others some time when they take their tasks.
+/// Rows per thread that justify another thread: each costs the others some time when they take
+/// their tasks.
 const ROWS_PER_THREAD: usize = 256;
 /// Chunks per thread, so that a thread that falls behind does not hold up the rest.
 const CHUNKS_PER_THREAD: usize = 4;
 
 impl Workers {
-    /// `threads` of them, at least one.
+    /// Workers with `threads` threads, at least one.
     pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
         let team = (threads > 1).then(|| ThreadTeam::new(threads - 1));
         Self { team, threads, dispatch: simd.dispatch() }
     }
 
-    /// `threads` of them, all cores when absent: but no more than there are pieces of work, since the others would only take memory, nor
-    /// than [`MAX_THREADS`].
+    /// Workers with `threads` threads, all cores when absent. There are no more threads than pieces
+    /// of work, since the others would only take memory, nor than [`MAX_THREADS`].
     pub fn for_pieces(threads: Option<usize>, pieces: usize, simd: Simd) -> Self {
         let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into));
         Self::new(threads.min(pieces).min(MAX_THREADS), simd)
     }
 
-    /// The way into code compiled for the instruction set.
+    /// Dispatcher into code compiled for the instruction set.
     pub fn dispatch(&self) -> SimdDispatch {
         self.dispatch
     }
@@ -126,7 +127,7 @@ impl Workers {
         self.threads
     }
 
-    /// Number of chunks that work on many rows is best cut into.
+    /// Best number of chunks for work on many rows.
     pub fn num_chunks(&self) -> usize {
         if self.threads == 1 { 1 } else { self.threads * CHUNKS_PER_THREAD }
     }
