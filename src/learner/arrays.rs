@@ -5,26 +5,26 @@ use crate::lines::{Line, WIDTH, lines_of};
 use crate::rollout::{End, Part};
 use crate::settings::LearnerError;
 
-/// Where the samples of an iteration are written to, by steps and envs, as rsl_rl stores them.
+/// Destination of an iteration's samples, by steps and envs, as rsl_rl stores them.
 #[derive(Debug)]
 pub struct RolloutArrays<'a> {
-    /// `[steps, envs, num_obs]`
+    /// Observations, `[steps, envs, num_obs]`.
     pub observations: &'a mut [f32],
-    /// `[steps, envs, num_actions]`
+    /// Actions, `[steps, envs, num_actions]`.
     pub actions: &'a mut [f32],
-    /// `[steps, envs, num_actions]`
+    /// Means of the policy, `[steps, envs, num_actions]`.
     pub means: &'a mut [f32],
-    /// `[steps, envs]`, as the simulator gave them.
+    /// Rewards of the simulator, `[steps, envs]`.
     pub rewards: &'a mut [f32],
     /// `[steps, envs]`: 0 while an episode goes on, 1 where it terminated, 2 where its time was up.
     pub ends: &'a mut [u8],
-    /// `[steps, envs]`
+    /// Logarithms of the actions' probability density, `[steps, envs]`.
     pub log_probs: &'a mut [f32],
-    /// `[steps, envs]`
+    /// Values, `[steps, envs]`.
     pub values: &'a mut [f32],
-    /// `[steps, envs]`
+    /// Returns, `[steps, envs]`.
     pub returns: &'a mut [f32],
-    /// `[steps, envs]`, brought to one scale.
+    /// Scaled advantages, `[steps, envs]`.
     pub advantages: &'a mut [f32],
     /// `[steps, envs]`: number of the sample in its block of envs.
     pub places: &'a mut [u32],
@@ -109,7 +109,7 @@ impl Learner {
 }
 
 impl<'a> RolloutArrays<'a> {
-    /// Name, numbers, and numbers that it should have, of each array.
+    /// Name, length and expected length of each array.
     fn sizes(&self, [num_obs, num_actions]: [usize; 2], samples: usize) -> [(&'static str, usize, usize); 10] {
         [
             ("observations", self.observations.len(), samples * num_obs),

@@ -10,32 +10,32 @@ use crate::activation::Activation;
 use crate::lines::{Line, WIDTH};
 use crate::matrix::LineKernel;
 
-/// Heads, or joints, that are summed side by side.
+/// Number of heads, or joints, that are summed side by side.
 const SIDE_BY_SIDE: usize = 8;
 
-/// A body of a tile, and its samples, which follow one another.
+/// A body of a tile, and its consecutive samples.
 #[derive(Clone, Debug)]
 pub(crate) struct Run {
-    /// The first sample.
+    /// First sample.
     pub(crate) first: usize,
-    /// Samples.
+    /// Number of samples.
     pub(crate) count: usize,
     /// The first of the body's joints.
     pub(crate) start: usize,
-    /// Joints of the body.
+    /// Number of the body's joints.
     pub(crate) joints: usize,
 }
 
 /// Adds what a body says of a joint to what the joint does, and applies the activation.
 pub(crate) struct AddBodies<'a> {
     pub(crate) runs: &'a [Run],
-    /// Samples.
+    /// Number of samples.
     pub(crate) rows: usize,
-    /// Joints that a sample has place for.
+    /// Number of joints that a sample has room for.
     pub(crate) most: usize,
     /// Panels `[panels][joints of the bodies]`.
     pub(crate) by: &'a [Line],
-    /// Joints of the bodies.
+    /// Number of joints of the bodies.
     pub(crate) num_joints: usize,
     pub(crate) activation: Activation,
     /// Panels `[panels][most][rows]`.
@@ -72,7 +72,7 @@ pub(crate) struct Attention<'a> {
     pub(crate) rows: usize,
     pub(crate) most: usize,
     pub(crate) heads: usize,
-    /// Lines of a joint's value.
+    /// Number of lines of a joint's value.
     pub(crate) lines: usize,
     /// Panels `[lines of heads][joints of the bodies]`.
     pub(crate) shares: &'a [Line],
@@ -300,7 +300,7 @@ impl LineKernel for SoftmaxBack<'_> {
     }
 }
 
-/// Codes of joints: sines of deviation 1.
+/// Codes of joints: sines with deviation 1.
 pub(crate) struct Sines<'a> {
     pub(crate) phases: &'a [Line],
     pub(crate) codes: &'a mut [Line],
@@ -332,7 +332,7 @@ impl LineKernel for SinesBack<'_> {
     }
 }
 
-/// Exponentials in place of numbers.
+/// Replaces numbers by their exponentials.
 pub(crate) struct Exponentials<'a>(pub(crate) &'a mut [Line]);
 
 impl LineKernel for Exponentials<'_> {
@@ -344,7 +344,7 @@ impl LineKernel for Exponentials<'_> {
     }
 }
 
-/// Multiplies what some activations gave by their derivatives there.
+/// Multiplies `delta` by the activation's derivatives at the outputs `y`.
 pub(crate) struct Derivatives<'a> {
     pub(crate) activation: Activation,
     pub(crate) y: &'a [Line],

@@ -1,4 +1,5 @@
-//! The bodies that a part has met in an iteration, as a network of joints reads them off the observations.
+//! The bodies that a part has met in an iteration, as networks of joints read them from
+//! observations.
 
 use std::collections::HashMap;
 
@@ -8,23 +9,23 @@ use crate::lines::{Line, WIDTH};
 use crate::network::Mirror;
 use crate::normalizer::Normalizer;
 
-/// A body: its joints, and what a network reads of each.
+/// A body: its joints, and a network's inputs for each.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Body {
     /// Slots of its joints.
     pub(crate) slots: Vec<usize>,
-    /// `[joints][lines]`: numbers of the descriptions, their logarithms, and how they differ within the body;
-    /// normalised.
+    /// `[joints][lines]`: numbers of the descriptions, their logarithms, and their differences
+    /// within the body; normalised.
     pub(crate) features: Vec<Line>,
-    /// `[joints][lines]`: how they differ within the body.
+    /// `[joints][lines]`: differences within the body.
     pub(crate) relative: Vec<Line>,
 }
 
-/// The bodies of some samples. Two samples have one body where their descriptions are the same to the bit.
+/// The bodies of some samples. Samples whose descriptions have the same bits share a body.
 #[derive(Default)]
 pub(crate) struct Bodies {
     numbers: HashMap<Vec<u32>, usize>,
-    /// Each body, and its mirror image where images are learnt from.
+    /// Each body, and its mirror image where images are used.
     all: Vec<[Body; 2]>,
     /// Description of each body.
     keys: Vec<Vec<u32>>,

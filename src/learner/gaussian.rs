@@ -5,12 +5,12 @@ use polypod_dynamics::elementary::exp;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::settings::Settings;
 
-/// Deviations that the policy may have: those of rsl_rl's `GaussianDistribution`. Each step of the optimiser ends
-/// within them.
+/// Range of the policy's deviations, as in rsl_rl's `GaussianDistribution`. Each step of the
+/// optimiser ends within it.
 pub(crate) const RANGE: [f32; 2] = [1e-6, 1e6];
 const HALF_LOG_TWO_PI: f32 = 0.918_938_5;
 
-/// Deviations of the actions that a robot has, and what is computed of them once.
+/// Distribution of a robot's actions: deviations, and values that are computed from them once.
 #[derive(Clone, Debug)]
 pub(crate) struct Gaussian {
     /// The actions that the robot has.
@@ -19,8 +19,8 @@ pub(crate) struct Gaussian {
     /// `[lines of an action]`, 0 beyond the actions and where the robot has none.
     pub(crate) deviation: Vec<Line>,
     inverse: Vec<Line>,
-    /// Log-density's part that is the same in any state: minus the sum of the deviations' logarithms, minus that of
-    /// `sqrt(2 pi)`.
+    /// Part of the log-density that is the same in any state: minus the sum of the deviations'
+    /// logarithms, minus that of `sqrt(2 pi)`.
     constant: f32,
 }
 
@@ -34,7 +34,8 @@ pub(crate) struct Surrogate {
 }
 
 impl Gaussian {
-    /// With deviations `[lines of an action]`, limited to [`RANGE`], of the actions that a robot has, in order.
+    /// A distribution with `deviation` `[lines of an action]`, limited to [`RANGE`], over a robot's
+    /// actions, in order.
     pub(crate) fn new(deviation: &[Line], num_actions: usize, actions: Vec<usize>) -> Self {
         let mut this = Self {
             actions,
@@ -157,7 +158,8 @@ pub(crate) struct Distributions {
 }
 
 impl Distributions {
-    /// With deviations `[lines of an action]`; none where each body has its own.
+    /// Distributions with `deviation` `[lines of an action]`; empty where each body has a separate
+    /// one.
     pub(crate) fn new(deviation: &[Line], settings: &Settings) -> Self {
         if deviation.is_empty() {
             return Self { of_robot: Vec::new(), gaussians: Vec::new() };
@@ -186,12 +188,12 @@ impl Distributions {
         &self.gaussians[self.of_robot[robot]]
     }
 
-    /// The only one: that of all robots, where all have the same actions.
+    /// The common distribution, if all robots have the same actions.
     pub(crate) fn only(&self) -> Option<&Gaussian> {
         if let [only] = &self.gaussians[..] { Some(only) } else { None }
     }
 
-    /// Whether each body has its own, which depends on what it is.
+    /// Whether each body has a separate distribution, which depends on its description.
     pub(crate) fn are_of_bodies(&self) -> bool {
         self.gaussians.is_empty()
     }

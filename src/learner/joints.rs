@@ -1,4 +1,5 @@
-//! A network of joints: what `polypod.networks.urma.JointNetwork` computes, forward and back over a tile of samples.
+//! A network of joints, like `polypod.networks.urma.JointNetwork`, forward and back over a tile of
+//! samples.
 //!
 //! Numbers of a body (codes, shares of the attention, keys, deviations) are computed once for all of its samples in a
 //! tile.
@@ -19,20 +20,20 @@ use crate::normalizer::Normalizer;
 use crate::rollout::Part;
 use crate::settings::{Joints, Network, Robot, Settings};
 
-/// Least magnitude that the logarithm of a description's number tells from zero.
+/// Least magnitude of a description's number whose logarithm differs from that of zero.
 const LOG_FLOOR: f32 = 0.01;
 /// Deviation within a robot, in deviations over all joints, below which joints count as uniform.
 const RELATIVE_FLOOR: f32 = 0.1;
-/// Deviations of the actions.
+/// Range of the actions' deviations.
 const STD_RANGE: [f32; 2] = [0.01, 2.0];
 /// Scale of an action's inner product over the numbers of a code.
 const KEY_SCALE: f32 = 2.0;
 /// Scale of the reflex.
 const REFLEX_SCALE: f32 = 0.1;
-/// Samples of a tile: what they and their bodies take stays in a second-level cache of 2 MB.
+/// Number of samples of a tile: they and their bodies fit in a second-level cache of 2 MB.
 const ROWS: usize = 32;
 
-/// Layers that turn the body's state into what is asked for.
+/// Layers that turn the body's state into the outputs.
 #[derive(Clone, Debug)]
 enum Head {
     /// An action of each joint, and its deviation.
@@ -41,7 +42,7 @@ enum Head {
     Outputs(Layer),
 }
 
-/// Where a robot's observation holds what is read of a sample: columns and factors.
+/// Places of a robot's inputs in its observation: columns and factors.
 #[derive(Clone, Debug, Default)]
 struct Plan {
     /// `[slots][states]`
@@ -70,8 +71,8 @@ pub(crate) struct JointNetwork {
     transposed: Vec<Line>,
 }
 
-/// Activations of a tile, and what the loss says of them. Rows of joints are those of the tile's bodies, one after
-/// the other; rows of places are `[most][rows]`, a place for each joint of each sample.
+/// Activations of a tile, and the loss' derivatives. Rows of joints are those of the tile's bodies,
+/// one after the other; rows of places are `[most][rows]`, a place for each joint of each sample.
 #[derive(Default)]
 pub(crate) struct JointTile {
     /// One for each body of the tile.
@@ -136,7 +137,7 @@ fn clear(lines: &mut Vec<Line>, count: usize) {
 }
 
 impl JointNetwork {
-    /// All weights zero. Without `outputs` it gives actions of joints.
+    /// A network with zeros. Without `outputs` it gives actions of joints.
     pub(crate) fn new(joints: &Joints, network: &Network, outputs: Option<usize>, settings: &Settings) -> Self {
         let (dim, heads, general) = (joints.joint_dim, joints.num_heads, joints.general.len());
         let (numbers, of_value) = (joints.descriptions.len(), (dim / 4).max(1));
@@ -211,7 +212,8 @@ impl JointNetwork {
         }
     }
 
-    /// Its statistics before the first sample: of states, of a description's numbers, of their logarithms, of the rest.
+    /// Its statistics before the first sample: of states, of a description's numbers, of their
+    /// logarithms, of the rest.
     pub(crate) fn normalizers(&self) -> Vec<Normalizer> {
         self.sizes_of_statistics().map(Normalizer::new).to_vec()
     }
@@ -226,7 +228,7 @@ impl JointNetwork {
         ROWS
     }
 
-    /// All that is learnt.
+    /// All learnt weights.
     pub(crate) fn weights(&self) -> &[Line] {
         &self.weights
     }
@@ -345,7 +347,7 @@ impl JointNetwork {
         rows
     }
 
-    /// Fills in what the bodies of a tile are.
+    /// Fills in the numbers of a tile's bodies.
     fn fill_bodies(&self, bodies: &Bodies, tile: &mut JointTile) {
         let (n, count) = (tile.num_joints, self.columns.descriptions.len());
         let lines = [lines_of(3 * count), lines_of(count)];
@@ -424,7 +426,7 @@ impl JointNetwork {
         }
     }
 
-    /// Reads the actions off the requests, and makes the distributions.
+    /// Computes the actions from the requests, and makes the distributions.
     fn act(&self, matrix: Matrix, t: &mut JointTile) {
         let (rows, lines) = (t.rows, lines_of(self.slots));
         t.make_keys(self.columns.joint_dim);
@@ -457,7 +459,8 @@ impl JointNetwork {
         clear(&mut t.of_deviations, lines * t.runs.len());
     }
 
-    /// Adds the derivatives of the weights from those of the outputs, and those that are noted of the deviations.
+    /// Adds the derivatives of the weights from those of the outputs, and from the noted
+    /// derivatives of the deviations.
     pub(crate) fn backward(&self, matrix: Matrix, delta: &[Line], tile: &mut JointTile, gradient: &mut [Line]) {
         let (t, back, activation) = (tile, &self.transposed[..], self.activation);
         let (rows, most, n) = (t.rows, t.most, t.num_joints);
@@ -518,8 +521,8 @@ impl JointNetwork {
         self.bodies_back(matrix, t, gradient);
     }
 
-    /// Takes the derivatives of actions and deviations apart: those of reads, reflexes, requests, keys, logarithms of
-    /// deviations.
+    /// Splits the derivatives of actions and deviations into those of reads, reflexes, requests,
+    /// keys and logarithms of deviations.
     fn read_back(&self, matrix: Matrix, delta: &[Line], t: &mut JointTile) {
         let (rows, n, lines) = (t.rows, t.num_joints, lines_of(self.slots));
         let inner = t.request.len() / rows * WIDTH;
@@ -574,7 +577,7 @@ impl JointNetwork {
         }
     }
 
-    /// The way back through what is computed of bodies.
+    /// Back-propagation through the numbers of bodies.
     fn bodies_back(&self, matrix: Matrix, t: &mut JointTile, gradient: &mut [Line]) {
         let (back, activation, n, lines) = (&self.transposed[..], self.activation, t.num_joints, self.state.panels());
         let described = &t.described[1];
@@ -595,8 +598,8 @@ impl JointNetwork {
         self.describe[0].add_gradient(matrix, n, &t.features, from_keys, gradient);
     }
 
-    /// Moments of what a part's samples hold of each of [`JointNetwork::normalizers`], one after the other; of
-    /// joints, the real ones alone.
+    /// Moments of the inputs in a part's samples, for each of [`JointNetwork::normalizers`], one
+    /// after the other; statistics of joints count real joints alone.
     pub(crate) fn moments(
         &self,
         part: &Part,

@@ -1,17 +1,17 @@
-//! A layer of a network: where its weights are, its way forward and its way back.
+//! A layer of a network: its weights, forward and back.
 
 use crate::activation::Activation;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::{BLOCK, End, Matrix, Product, WeightGradient};
 
-/// Lines that the layers of a network take so far.
+/// Lines that the layers of a network use so far.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Room {
     pub(crate) weights: usize,
     pub(crate) transposed: usize,
 }
 
-/// Whether a layer has a bias, and whether something lies below it that learns.
+/// Whether a layer has a bias, and whether a layer below it learns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Sort {
     pub(crate) has_bias: bool,
@@ -53,7 +53,7 @@ pub(crate) fn by_lines(parts: usize, count: usize) -> Vec<usize> {
 }
 
 impl Layer {
-    /// With its inputs and outputs at these places, after the layers that take the room so far.
+    /// A layer with its inputs and outputs at these places, after the layers in the room.
     pub(crate) fn new(inputs: Vec<usize>, outputs: Vec<usize>, sort: Sort, room: &mut Room) -> Self {
         let inner = width(&inputs).next_multiple_of(BLOCK);
         let this = Self { inputs, outputs, inner, sort, first: room.weights, first_transposed: room.transposed };
@@ -179,7 +179,8 @@ impl Layer {
         }
     }
 
-    /// The reverse of [`Layer::export`], of arrays of the same sizes; false where there are too few.
+    /// The reverse of [`Layer::export`] for arrays of the same sizes; false where there are too
+    /// few.
     pub(crate) fn import<'a>(&self, from: &mut impl Iterator<Item = &'a Vec<f32>>, lines: &mut [Line]) -> bool {
         let of = &mut lines[self.first..][..self.lines()];
         let Some(weight) = from.next() else { return false };

@@ -29,8 +29,8 @@ pub trait Team {
 /// [`record`](Learner::record) for each step, then [`finish_rollout`](Learner::finish_rollout) and
 /// [`update`](Learner::update).
 ///
-/// All it computes depends on its settings, its networks' numbers, the iteration and what is recorded, and on nothing
-/// else.
+/// The results depend on its settings, its networks' numbers, the iteration and the recorded
+/// samples, and on nothing else.
 pub struct Learner {
     pub(crate) settings: Settings,
     pub(crate) matrix: Matrix,
@@ -54,11 +54,11 @@ pub struct Learner {
 }
 
 thread_local! {
-    /// Where a thread computes tiles.
+    /// A thread's memory for tiles.
     static TILE: RefCell<Tile> = RefCell::default();
 }
 
-/// Works with the thread's tile.
+/// Calls `f` with the thread's tile.
 pub(crate) fn with_tile<R>(f: impl FnOnce(&mut Tile) -> R) -> R {
     TILE.with(|tile| f(&mut tile.borrow_mut()))
 }
@@ -89,8 +89,9 @@ impl Learner {
         Self::with_peers(settings, simd, Worker::ALONE, Box::new(Alone))
     }
 
-    /// A learner that has [`Worker::envs`] and learns with others that have the rest: all come to the same networks,
-    /// bit for bit those of a learner with all envs. Arrays `[envs, ..]` have rows for its own envs alone.
+    /// A learner that has [`Worker::envs`] and learns with others that have the rest. All come to
+    /// the same networks, bit for bit those of a learner with all envs. Arrays `[envs, ..]` have
+    /// rows for its own envs alone.
     ///
     /// # Errors
     /// Settings that contradict each other, or more workers than blocks of envs.
@@ -140,8 +141,8 @@ impl Learner {
         self.parts.iter().map(Part::len).sum()
     }
 
-    /// Changes what the coming updates aim at: the weight of the entropy, and the divergence that the learning rate
-    /// is adapted to.
+    /// Changes the goals of the coming updates: the weight of the entropy, and the divergence that
+    /// the learning rate is adapted to.
     pub fn set_goals(&mut self, entropy_coef: f32, desired_kl: Option<f64>) {
         let algorithm = &mut self.settings.options.algorithm;
         (algorithm.entropy_coef, algorithm.desired_kl) = (entropy_coef, desired_kl);
@@ -257,7 +258,7 @@ impl Learner {
         (rewards, self.parts.iter().flat_map(|part| part.episode_length.iter().copied()).collect())
     }
 
-    /// Takes over what [`Learner::episodes`] gave.
+    /// Takes over the values of [`Learner::episodes`].
     ///
     /// # Errors
     /// Arrays of other sizes, a length below 0, and a number that is not finite.
@@ -348,8 +349,8 @@ impl Learner {
         });
     }
 
-    /// Stores what came of the step, `[envs]` each; episodes that ended are added to `episodes`, in the order of the
-    /// envs.
+    /// Stores the outcome of the step, `[envs]` each; episodes that ended are added to `episodes`,
+    /// in the order of the envs.
     ///
     /// # Panics
     /// If the arrays have other sizes, or all steps are taken.
@@ -428,7 +429,8 @@ impl Learner {
         self.scale_advantages(&of_robots)
     }
 
-    /// Decides what brings the advantages to one scale: that of each robot's own, of all, or of those of a mini-batch.
+    /// Chooses the scale of the advantages: over each robot, over all samples, or over each
+    /// mini-batch.
     fn scale_advantages(&mut self, of_robots: &[Moments]) -> Result<(), LearnerError> {
         let algorithm = &self.settings.options.algorithm;
         let all = of_robots.iter().copied().fold(Moments::default(), Moments::merge);

@@ -30,12 +30,12 @@ impl Line {
     }
 }
 
-/// Lines that `count` numbers take.
+/// Number of lines for `count` numbers.
 pub(crate) const fn lines_of(count: usize) -> usize {
     count.div_ceil(WIDTH)
 }
 
-/// Two values side by side: sixteen lanes where the machine's own lanes are eight.
+/// Two values side by side: sixteen lanes on a machine with lanes of eight.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Pair<L>(L, L);
 

@@ -1,4 +1,5 @@
-//! The three matrix products of a perceptron, over lines: what nearly all time of a training is spent on.
+//! The three matrix products of a perceptron, over lines. Nearly all time of a training is spent
+//! here.
 //!
 //! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a [`Line`], and the
 //! lines of a panel follow one another. A block of rows times two panels of columns stays in registers while the
@@ -41,11 +42,12 @@ pub(crate) enum End<'a> {
     Bias(Option<Activation>),
     /// The sum is multiplied by the activation's derivative at these outputs, panels `[panels][rows]`.
     Derivative(Activation, &'a [Line]),
-    /// Nothing.
+    /// No operation.
     Plain,
-    /// These are added, panels `[panels][rows]`.
+    /// Addition of these lines, panels `[panels][rows]`.
     Add(&'a [Line]),
-    /// The second are added, and the result is multiplied by the activation's derivative at the first outputs.
+    /// Addition of the second lines, then multiplication by the activation's derivative at the
+    /// first ones.
     AddDerivative(Activation, &'a [Line], &'a [Line]),
 }
 
@@ -121,7 +123,7 @@ impl<L: Real, K: LineKernel> Kernel<L> for OnLanes<K> {
     }
 }
 
-/// Sixteen lanes, and how many registers of them there are.
+/// Sixteen lanes, and the number of registers for them.
 trait Blocking: Lanes {
     /// Whether [`BLOCK`] rows times two panels fit into the registers; else half as many rows times one panel.
     const MANY_REGISTERS: bool;
@@ -145,7 +147,7 @@ impl Blocking for Pair<Portable> {
 
 /// A product that is computed panel by panel.
 trait Panels {
-    /// How many there are.
+    /// Number of panels.
     fn count(&self) -> usize;
     /// Computes `W` panels, blocks of `R` lines at a time.
     fn columns<L: Real, const R: usize, const W: usize>(&mut self, panel: usize);
@@ -243,7 +245,7 @@ impl Product<'_> {
             }
             k += WIDTH;
         }
-        // sums that are written before anything else is done with them stay in registers until then
+        // sums that are written first stay in registers
         for w in 0..W {
             let out = &mut self.out[(panel + w) * rows + row..][..R];
             for r in 0..R {

@@ -1,4 +1,4 @@
-//! A network with what learns it: its statistics and its optimiser's moments.
+//! A network with its training state: statistics and the optimiser's moments.
 
 use crate::bodies::Bodies;
 use crate::gaussian::Gaussian;
@@ -44,8 +44,8 @@ pub(crate) struct Net {
     pub(crate) model: Model,
     /// The numbers of a row that a perceptron reads; None: all of them.
     columns: Option<Vec<usize>>,
-    /// Statistics of a perceptron's observations, or the four of a network of joints; empty where nothing is
-    /// normalised.
+    /// Statistics of a perceptron's observations, or the four of a network of joints; empty without
+    /// normalisation.
     pub(crate) normalizers: Vec<Normalizer>,
     pub(crate) first: Vec<Line>,
     pub(crate) second: Vec<Line>,
@@ -60,11 +60,11 @@ pub(crate) struct Mirror {
     pub(crate) action: Vec<(usize, f32)>,
 }
 
-/// Question to a network.
+/// Input row of a network.
 #[derive(Clone, Copy)]
 pub(crate) struct Row<'a> {
     pub(crate) observation: &'a [Line],
-    /// Where the mirror image is meant.
+    /// Mirror, for the row's mirror image.
     pub(crate) mirror: Option<&'a Mirror>,
     pub(crate) robot: usize,
     /// Number of the body among a part's; 0 for a perceptron.
@@ -117,7 +117,7 @@ impl Net {
         }
     }
 
-    /// Deviations of the actions that are learnt as numbers; empty in a network of joints.
+    /// Deviations of the actions that are learnt as numbers; empty for a network of joints.
     pub(crate) fn deviations(&self) -> &[Line] {
         match &self.model {
             Model::Perceptron(perceptron) => perceptron.extra(),
@@ -125,7 +125,7 @@ impl Net {
         }
     }
 
-    /// Where the derivatives of [`Net::deviations`] begin.
+    /// Index of the first derivative of [`Net::deviations`].
     pub(crate) fn first_deviation(&self) -> usize {
         match &self.model {
             Model::Perceptron(perceptron) => perceptron.first_extra(),
@@ -202,8 +202,8 @@ impl Net {
         }
     }
 
-    /// Calls `each` with the place of each observation, and the lines of the network's output for it; of an actor
-    /// that is a network of joints, with the distribution of the actions too.
+    /// Calls `each` with the place of each observation, and the lines of the network's output for
+    /// it. An actor that is a network of joints adds the distribution of the actions.
     pub(crate) fn evaluate(
         &self,
         matrix: Matrix,
@@ -231,8 +231,8 @@ impl Net {
         }
     }
 
-    /// Mean of each number of an observation so far, `[num_obs]`, as far as it is known: what moments are computed
-    /// about. Networks without statistics of whole observations have none.
+    /// Mean of each number of an observation so far, `[num_obs]`, as far as it is known; moments
+    /// are computed about it. Networks without statistics of whole observations have none.
     pub(crate) fn means(&self, num_obs: usize) -> Option<Vec<f32>> {
         let normalizer = self.normalizers.first().filter(|_| self.joints().is_none())?;
         let Some(columns) = &self.columns else { return Some(normalizer.mean.clone()) };
@@ -255,8 +255,8 @@ impl Net {
         }
     }
 
-    /// Moments of what a part's samples hold, for [`Net::update_normalizers`]; None for a network without statistics
-    /// of joints.
+    /// Moments of a part's samples, for [`Net::update_normalizers`]; None for a network without
+    /// statistics of joints.
     pub(crate) fn moments(&self, part: &Part, which: Which, num_obs: usize) -> Option<Vec<Moments>> {
         let joints = self.joints().filter(|_| !self.normalizers.is_empty())?;
         Some(joints.moments(part, &part.bodies[which as usize], &self.normalizers, num_obs))

@@ -1,4 +1,4 @@
-//! Observations brought to mean 0 and deviation 1, as rsl_rl's `EmpiricalNormalization` does it.
+//! Scaling of observations to mean 0 and deviation 1, as in rsl_rl's `EmpiricalNormalization`.
 
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
@@ -20,12 +20,12 @@ pub struct Normalizer {
 }
 
 impl Normalizer {
-    /// Before the first sample: mean 0 and deviation 1.
+    /// Statistics before the first sample: mean 0 and deviation 1.
     pub(crate) fn new(num_obs: usize) -> Self {
         Self::from_parts(vec![0.0; num_obs], vec![1.0; num_obs], 0)
     }
 
-    /// With these statistics, `[num_obs]` each.
+    /// Statistics with these values, `[num_obs]` each.
     pub fn from_parts(mean: Vec<f32>, variance: Vec<f32>, count: u64) -> Self {
         let lines = vec![Line::ZERO; lines_of(mean.len())];
         let mut this = Self { mean, variance, count, mean_lines: lines.clone(), inverse_lines: lines };
@@ -79,7 +79,7 @@ impl Normalizer {
             let new_mean = f64::from(*mean) + rate * delta;
             let spread = of.variance() - f64::from(*variance) + delta * (of.mean - new_mean);
             *mean = new_mean as f32;
-            // rounding may leave less than nothing of a number that does not change
+            // rounding may make the variance of a constant number negative
             *variance = (f64::from(*variance) + rate * spread).max(0.0) as f32;
         }
         self.prepare();

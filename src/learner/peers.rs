@@ -1,5 +1,5 @@
-//! The workers of a training: processes that each have some of the parts, and sum what they know in the order of the
-//! tree.
+//! The workers of a training: processes that each have some of the parts, and sum results in the
+//! order of the tree.
 
 use std::ops::Range;
 
@@ -13,14 +13,14 @@ const BYTES: usize = size_of::<[f64; NUMBERS]>();
 
 /// Connects the workers of a training. All of them call the same functions in the same order.
 pub trait Peers: Send + Sync {
-    /// Bytes of all workers, in their order: `mine` of each, which have one length.
+    /// Gathers the bytes of all workers, in their order: `mine` of each, all of one length.
     ///
     /// # Errors
     /// A worker is gone.
     fn gather(&self, mine: &[u8]) -> Result<Vec<u8>, LearnerError>;
 
-    /// Cuts `mine` into a piece of one length for each worker, in their order; returns the pieces for this worker, in
-    /// the order of those that they are from.
+    /// Cuts `mine` into a piece of one length for each worker, in their order; returns the pieces
+    /// for this worker, in the order of their senders.
     ///
     /// # Errors
     /// A worker is gone.
@@ -37,7 +37,7 @@ pub struct Worker {
 }
 
 impl Worker {
-    /// The only one.
+    /// A worker without peers.
     pub const ALONE: Self = Self { index: 0, count: 1 };
 
     /// The envs that it simulates, of `num_envs` in all: whole parts, as many as the others have or one more.
@@ -68,7 +68,7 @@ pub(crate) struct Shares {
     pub(crate) nodes: Vec<(Range<usize>, Tree)>,
     /// Number of such subtrees of each worker.
     counts: Vec<usize>,
-    /// Their greatest number.
+    /// Largest number of subtrees of a worker.
     most: usize,
     /// The tree over the subtrees of all workers.
     pub(crate) top: Tree,
@@ -96,7 +96,7 @@ impl Shares {
         }
     }
 
-    /// Whether no other worker is asked.
+    /// Whether there are no other workers.
     pub(crate) fn is_alone(&self) -> bool {
         self.worker.count == 1
     }

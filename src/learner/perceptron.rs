@@ -1,4 +1,4 @@
-//! A multi-layer perceptron: its weights by panels, its way forward and its way back over a tile of samples.
+//! A multi-layer perceptron: weights by panels, forward and back over a tile of samples.
 
 use crate::activation::Activation;
 use crate::joints::JointTile;
@@ -6,7 +6,7 @@ use crate::layer::{Layer, Room, Sort, have_sizes_of, in_order};
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::{BLOCK, End, Matrix};
 
-/// Weights of a perceptron, and some numbers more that are learnt with them.
+/// Weights of a perceptron, and further numbers that are learnt with them.
 #[derive(Clone, Debug)]
 pub(crate) struct Perceptron {
     layers: Vec<Layer>,
@@ -18,7 +18,7 @@ pub(crate) struct Perceptron {
     extra: usize,
 }
 
-/// Activations of a tile, and what the loss says of them.
+/// Activations of a tile, and the loss' derivatives.
 #[derive(Default)]
 pub(crate) struct Tile {
     /// Panels `[inputs / 16][rows]`.
@@ -45,8 +45,8 @@ const MOST_ROWS: usize = 128;
 const LEAST_ROWS: usize = 32;
 
 impl Perceptron {
-    /// All weights zero; `sizes` are those of the input, the hidden layers and the output. `extra` further numbers
-    /// are learnt.
+    /// A perceptron with zeros; `sizes` are those of the input, the hidden layers and the output.
+    /// `extra` further numbers are learnt.
     pub(crate) fn new(sizes: &[usize], activation: Activation, extra: usize) -> Self {
         let mut room = Room::default();
         let layer = |(l, pair): (usize, &[usize])| {
@@ -69,7 +69,7 @@ impl Perceptron {
         self.layers.first().map_or(0, Layer::num_inputs)
     }
 
-    /// All that is learnt.
+    /// All learnt numbers.
     pub(crate) fn weights(&self) -> &[Line] {
         &self.weights
     }
@@ -78,7 +78,7 @@ impl Perceptron {
         &mut self.weights
     }
 
-    /// Where the further numbers begin.
+    /// Index of the first further number.
     pub(crate) fn first_extra(&self) -> usize {
         self.weights.len() - lines_of(self.extra)
     }

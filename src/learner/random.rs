@@ -1,6 +1,6 @@
-//! Random numbers that depend on what they are for, and on nothing drawn before.
+//! Random numbers that depend on their purpose, and on no earlier ones.
 
-/// Turns a number into one that seems random (the finaliser of SplitMix64).
+/// Scrambles the bits of a number (the finaliser of SplitMix64).
 fn spread(mut x: u64) -> u64 {
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -14,7 +14,7 @@ pub(crate) struct Stream(u64);
 const STEP: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl Stream {
-    /// The stream of a seed and three numbers that say what it is for.
+    /// The stream of a seed and three numbers of its purpose.
     pub(crate) fn new(seed: u64, [a, b, c]: [u64; 3]) -> Self {
         let mixed = [a, b, c]
             .iter()

@@ -1,10 +1,10 @@
-//! Rewards of different robots brought to one scale, so that no robot drowns the others in a shared learner.
+//! Scaling of rewards, so that no robot drowns the others in a shared learner.
 //!
 //! Each robot's rewards are divided by the running deviation of that robot's discounted return.
 
 use crate::moments::Moments;
 
-/// Keeps the first deviations from being zero.
+/// Least deviation: the first ones would be zero.
 pub(crate) const EPSILON: f64 = 1e-8;
 
 /// Running statistics of the discounted returns of each robot.
@@ -19,7 +19,7 @@ pub struct RewardScale {
 }
 
 impl RewardScale {
-    /// Before the first reward.
+    /// Statistics before the first reward.
     pub(crate) fn new(robots: usize) -> Self {
         Self { count: vec![EPSILON; robots], mean: vec![0.0; robots], variance: vec![1.0; robots] }
     }

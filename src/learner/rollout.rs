@@ -8,9 +8,9 @@ use crate::moments::Moments;
 use crate::network::{Mirror, Net, Which};
 use crate::settings::{Robot, Settings};
 
-/// Most parts that the envs are divided into.
+/// Largest number of parts of the envs.
 const MOST_PARTS: usize = 32;
-/// Envs that a part has at least.
+/// Least number of envs of a part.
 const LEAST_ENVS: usize = 16;
 
 /// The envs of each part. They depend on the number of envs alone, and so do all sums.
@@ -24,7 +24,7 @@ pub(crate) fn share(count: usize, batch: usize, batches: usize) -> Range<usize> 
     batch * count / batches..(batch + 1) * count / batches
 }
 
-/// A block of envs that is simulated, stored and learnt from on its own.
+/// A block of envs that is simulated, stored and learnt from separately.
 ///
 /// Sample `step * num_envs + env` is that of the part's env `env` at step `step`.
 pub(crate) struct Part {
@@ -32,19 +32,19 @@ pub(crate) struct Part {
     pub(crate) envs: Range<usize>,
     /// Their rows in this worker's arrays.
     pub(crate) rows: Range<usize>,
-    /// The robots it has envs of, with these envs, counted from the part's first.
+    /// Its robots, with their envs, counted from the part's first.
     pub(crate) blocks: Vec<(usize, Range<usize>)>,
     /// Robot of each of its envs.
     pub(crate) robot_of: Vec<usize>,
-    /// `[samples][lines of an observation]`, as they came.
+    /// Raw observations, `[samples][lines of an observation]`.
     pub(crate) observations: Vec<Line>,
-    /// `[samples][lines of an action]`.
+    /// Actions, `[samples][lines of an action]`.
     pub(crate) actions: Vec<Line>,
     /// Mean of the policy, `[samples][lines of an action]`.
     pub(crate) means: Vec<Line>,
     /// Logarithm of the action's probability density, `[samples]`.
     pub(crate) log_probs: Vec<f32>,
-    /// `[samples]`, as they came.
+    /// Raw rewards, `[samples]`.
     pub(crate) rewards: Vec<f32>,
     pub(crate) ends: Vec<End>,
     pub(crate) values: Vec<f32>,
@@ -56,7 +56,7 @@ pub(crate) struct Part {
     pub(crate) discounted: Vec<f32>,
     /// Sum of the rewards of the present episode, `[envs]`.
     pub(crate) episode_reward: Vec<f32>,
-    /// Control steps of the present episode that were seen, `[envs]`.
+    /// Control steps so far of the present episode, `[envs]`.
     pub(crate) episode_length: Vec<f32>,
     /// Samples in the order in which they are learnt from.
     pub(crate) order: Vec<u32>,
@@ -68,13 +68,13 @@ pub(crate) struct Part {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum End {
     None,
-    /// It ended, and what would have come after it counts nothing.
+    /// The episode ended; later rewards count nothing.
     Terminated,
-    /// Its time was up; the value stands for what would have come after it.
+    /// Its time was up; the value stands for the later rewards.
     TimeOut,
 }
 
-/// An episode that ended: at which step and in which env, its return and its control steps.
+/// An episode that ended: its step and env, its return and its length.
 #[derive(Clone, Copy, Debug)]
 pub struct Episode {
     /// Step of the iteration.
@@ -83,7 +83,7 @@ pub struct Episode {
     pub env: usize,
     /// Sum of its rewards.
     pub reward: f32,
-    /// Control steps.
+    /// Length, control steps.
     pub length: f32,
 }
 
@@ -164,7 +164,7 @@ impl Part {
         &self.order[share(self.order.len(), batch, batches)]
     }
 
-    /// Stores what came of a step; `[envs]` each. Episodes that ended are added to `episodes`.
+    /// Stores the outcome of a step; `[envs]` each. Episodes that ended are added to `episodes`.
     pub(crate) fn store_outcome(
         &mut self,
         step: usize,
@@ -221,8 +221,8 @@ impl Part {
         of_robots
     }
 
-    /// Returns and advantages by generalised advantage estimation; `scale` is what the rewards of a step and a robot
-    /// are multiplied by.
+    /// Returns and advantages by generalised advantage estimation; `scale` is the factor of the
+    /// rewards of a step and a robot.
     pub(crate) fn estimate_advantages(&mut self, gamma: f32, lam: f32, scale: impl Fn(usize, usize) -> f32) {
         let n = self.len();
         let mut advantage = vec![0.0f32; n];
@@ -250,7 +250,7 @@ impl Part {
         self.advantages.chunks_exact(self.len()).flat_map(move |step| step[envs.clone()].iter().copied())
     }
 
-    /// Moments of each number of the observations, about `about`: of the robots that have it.
+    /// Moments of each number of the observations, about `about`, over the robots that have it.
     #[inline(always)]
     pub(crate) fn observation_moments(&self, about: &[f32], robots: &[Robot]) -> Vec<Moments> {
         if robots.iter().all(|robot| robot.observation_mask.is_empty()) {
@@ -268,7 +268,7 @@ impl Part {
         all
     }
 
-    /// Moments of some of the part's envs, all numbers.
+    /// Moments of all numbers over some of the part's envs.
     #[inline(always)]
     fn moments_of(&self, about: &[f32], envs: Range<usize>) -> Vec<Moments> {
         let lines = lines_of(about.len());

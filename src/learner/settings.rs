@@ -4,7 +4,7 @@ use serde::Deserialize;
 
 use crate::activation::Activation;
 
-/// Everything that decides what a learner computes.
+/// All settings that decide what a learner computes.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// Envs that are simulated.
@@ -49,9 +49,10 @@ pub struct Network {
     pub hidden_dims: Vec<usize>,
     /// Function after each of them.
     pub activation: Activation,
-    /// Whether observations are brought to mean 0 and deviation 1 first.
+    /// Whether observations are scaled to mean 0 and deviation 1 first.
     pub obs_normalization: bool,
-    /// Numbers of a row of all observation groups that a perceptron reads, in order; all of them where empty.
+    /// Columns of all observation groups that a perceptron reads, in order; all of them where
+    /// empty.
     #[serde(default)]
     pub columns: Vec<usize>,
     /// Layout that a network of joints reads; None: a perceptron.
@@ -59,8 +60,8 @@ pub struct Network {
     pub joints: Option<Joints>,
 }
 
-/// A network of joints, as `polypod.networks.urma.JointNetwork` is one. Columns are those of a row of all observation
-/// groups.
+/// A network of joints, like `polypod.networks.urma.JointNetwork`. Columns are those of a row of
+/// all observation groups.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Joints {
@@ -68,13 +69,14 @@ pub struct Joints {
     pub joint_dim: usize,
     /// Heads of the attention.
     pub num_heads: usize,
-    /// Columns of what a joint does, `[numbers][slots]`.
+    /// Columns of a joint's state, `[numbers][slots]`.
     pub states: Vec<Vec<usize>>,
     /// Factor of each of these numbers.
     pub scales: Vec<f32>,
-    /// Columns of what a joint is, `[numbers][slots]`. A joint that a robot lacks has zeros alone.
+    /// Columns of a joint's description, `[numbers][slots]`. A joint that a robot lacks has zeros
+    /// alone.
     pub descriptions: Vec<Vec<usize>>,
-    /// Columns of what belongs to no joint.
+    /// Columns that belong to no joint.
     pub general: Vec<usize>,
 }
 
@@ -82,11 +84,11 @@ pub struct Joints {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Algorithm {
-    /// Times that each sample is learnt from.
+    /// Number of times that each sample is learnt from.
     pub num_learning_epochs: usize,
     /// Updates of the weights per epoch.
     pub num_mini_batches: usize,
-    /// How far the probability of an action may move, as a ratio.
+    /// Largest change of an action's probability, as a ratio.
     pub clip_param: f32,
     /// Discount per control step.
     pub gamma: f32,
@@ -102,7 +104,7 @@ pub struct Algorithm {
     pub use_clipped_value_loss: bool,
     /// Kullback-Leibler divergence that the learning rate is adapted to; a fixed learning rate without.
     pub desired_kl: Option<f64>,
-    /// Bring the advantages of each mini-batch to one scale, instead of those of all samples.
+    /// Scale the advantages of each mini-batch separately, instead of those of all samples.
     pub normalize_advantage_per_mini_batch: bool,
 }
 
@@ -110,7 +112,7 @@ pub struct Algorithm {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Symmetry {
-    /// Nothing.
+    /// No mirror images.
     None,
     /// Each sample and its mirror image, at twice the cost.
     Both,
@@ -141,12 +143,12 @@ pub struct Robot {
 }
 
 impl Robot {
-    /// Whether it has an action.
+    /// Whether the robot has an action.
     pub(crate) fn has_action(&self, action: usize) -> bool {
         self.action_mask.get(action).is_none_or(|has| *has)
     }
 
-    /// Whether it has a number of an observation.
+    /// Whether the robot has a number of an observation.
     pub(crate) fn has_number(&self, number: usize) -> bool {
         self.observation_mask.get(number).is_none_or(|has| *has)
     }
@@ -168,13 +170,13 @@ impl LearnerError {
     }
 }
 
-/// Most numbers of a layer, an observation or an action.
+/// Largest width of a layer, an observation or an action.
 const MOST_NUMBERS: usize = 65_536;
-/// Most samples of an iteration.
+/// Largest number of samples of an iteration.
 const MOST_SAMPLES: usize = 1 << 28;
 
 impl Settings {
-    /// Whether a learner can be made of them.
+    /// Checks that a learner can be made of them.
     pub(crate) fn check(&self) -> Result<(), LearnerError> {
         let sizes = [("num_envs", self.num_envs), ("num_steps_per_env", self.options.num_steps_per_env)];
         let algorithm = &self.options.algorithm;
@@ -224,7 +226,7 @@ impl Settings {
         Ok(())
     }
 
-    /// Whether a network reads columns that there are.
+    /// Checks that a network reads existing columns.
     fn check_columns(&self, element: &'static str, network: &Network) -> Result<(), LearnerError> {
         let error = |problem: String| Err(LearnerError::new(element, problem));
         let mut columns: Vec<usize> = network.columns.clone();

@@ -1,5 +1,5 @@
-//! Sums over parts in an order that does not depend on who has which parts: that of a binary tree that halves the
-//! parts.
+//! Sums over parts in an order that does not depend on the owners of the parts: the order of a
+//! binary tree that halves them.
 
 use std::ops::Range;
 
@@ -8,10 +8,10 @@ use polypod_dynamics::lanes::Kernel;
 use crate::lines::{Line, WIDTH};
 use crate::moments::Moments;
 
-/// Sums that wait for their right neighbour at the same time: more than a tree of as many leaves as there may be
-/// parts is deep.
+/// Largest number of sums that wait for their right neighbour at the same time: more than the depth
+/// of a tree with the largest number of leaves.
 const MOST_WAITING: usize = 16;
-/// Lines that go through the tree together.
+/// Number of lines that go through the tree together.
 const BLOCK: usize = 8;
 
 /// The order in which leaves are summed.
@@ -29,7 +29,7 @@ impl Tree {
         Self { complete }
     }
 
-    /// With a leaf for each of `count` parts.
+    /// A tree with a leaf for each of `count` parts.
     pub(crate) fn of_parts(count: usize) -> Self {
         Self::new(0..count, &|_| false)
     }
@@ -48,7 +48,7 @@ impl Tree {
     }
 }
 
-/// Halves of some parts.
+/// The two halves of some parts.
 pub(crate) fn halves(parts: &Range<usize>) -> [Range<usize>; 2] {
     let middle = parts.start + parts.len() / 2;
     [parts.start..middle, middle..parts.end]
@@ -67,14 +67,14 @@ fn descend(parts: Range<usize>, is_leaf: &impl Fn(&Range<usize>) -> bool, comple
     }
 }
 
-/// Numbers of a [`Term`].
+/// Number of values of a [`Term`].
 pub(crate) const NUMBERS: usize = 5;
 
-/// Term that is summed over parts and told to other workers.
+/// Term that is summed over parts and sent to other workers.
 pub(crate) trait Term: Copy + Default {
-    /// Its numbers.
+    /// Its values.
     fn numbers(self) -> [f64; NUMBERS];
-    /// The reverse.
+    /// The term of some values.
     fn from_numbers(numbers: [f64; NUMBERS]) -> Self;
     /// The sum of two.
     fn add(self, other: Self) -> Self;
@@ -148,7 +148,7 @@ impl Kernel<f32> for SumLines<'_> {
     }
 }
 
-/// Adds lines to as many others.
+/// Adds lines to the same number of others.
 #[inline(always)]
 fn add(to: &mut [Line; BLOCK], from: &[Line]) {
     for (to, from) in to.iter_mut().zip(from) {

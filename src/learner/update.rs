@@ -33,16 +33,17 @@ pub struct Losses {
 
 /// Lines that a task sums and steps.
 const CHUNK: usize = 256;
-/// Most workers each of whom gets the gradients of all others at once; more workers sum a piece each first. With two,
-/// both ways send as many bytes, and the first way sends them at once.
+/// Largest number of workers that each get the gradients of all others at once; more workers first
+/// sum a piece each. With two workers both ways send the same number of bytes, and the first way
+/// sends them at once.
 const MOST_GATHERED: usize = 2;
 /// Bytes of the figures that come with gradients.
 const FIGURES: usize = size_of::<Figures>();
 /// Least divisor of a norm.
 const EPSILON: f64 = 1e-6;
-/// The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted.
+/// Factor or divisor of the learning rate where the divergence is far from the wanted one.
 const RATE_STEP: f64 = 1.5;
-/// Learning rates that the adaptive schedule keeps to.
+/// Range of the adaptive learning rate.
 const RATES: [f64; 2] = [1e-5, 1e-2];
 
 /// Gradients of a part's samples of a mini-batch for a network.
@@ -50,9 +51,10 @@ const RATES: [f64; 2] = [1e-5, 1e-2];
 struct Gradient {
     lines: Vec<Line>,
     loss: f64,
-    /// Divergence from the policy that collected the samples, summed over those that are no images.
+    /// Divergence from the policy that collected the samples, summed over samples that are no
+    /// mirror images.
     divergence: f64,
-    /// Samples that are no images.
+    /// Number of samples that are no mirror images.
     samples: usize,
     /// The part's share of the mean entropy, where robots have different actions.
     entropy: f64,
@@ -102,7 +104,7 @@ impl MiniBatch<'_> {
         }
     }
 
-    /// Questions to a network in a tile.
+    /// Input rows of a network in a tile.
     fn rows<'a>(&self, part: &'a Part, bodies: &Bodies, samples: &[Sample<'a>]) -> Vec<Row<'a>> {
         let lines = lines_of(self.settings.num_obs);
         let row = |&(sample, mirror): &Sample<'a>| Row {
@@ -114,11 +116,12 @@ impl MiniBatch<'_> {
         samples.iter().map(row).collect()
     }
 
-    /// A tile's share of the mean entropy, where each body has its distribution; its derivatives are noted in the tile.
+    /// A tile's share of the mean entropy, where each body has a separate distribution; its
+    /// derivatives are noted in the tile.
     fn entropy_of_bodies(&self, samples: &[Sample], joints: &mut JointTile) -> f64 {
         let mut counts = vec![0usize; joints.bodies().len()];
         for (row, (_, mirror)) in samples.iter().enumerate() {
-            // images that are learnt from besides the samples have the samples' entropy
+            // mirror images in addition to the samples have the samples' entropy
             if mirror.is_none() || self.settings.options.symmetry == Symmetry::Alternate {
                 counts[joints.body_of(row)] += 1;
             }
@@ -278,7 +281,7 @@ impl Learner {
                 losses.value += value / rows as f64;
                 losses.entropy += entropy.unwrap_or(of_samples);
                 if let Some(desired) = algorithm.desired_kl {
-                    // an image's divergence also has what the policy lacks in symmetry
+                    // a mirror image's divergence also contains the policy's lack of symmetry
                     if seen > 0.0 {
                         losses.learning_rate = adapted(losses.learning_rate, divergence / seen, desired);
                     }
@@ -395,7 +398,8 @@ impl Learner {
         Ok(Total { sums, squares: sum_lines(team, dispatch, tree, totals) })
     }
 
-    /// The subtrees of all workers, and the sums of their figures: for few workers, to each of whom all are sent.
+    /// Gathers the subtrees of all workers, and the sums of their figures: for few workers, all of
+    /// which get everything.
     fn gather(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
         let mut message = Message::default();
         for (total, figures) in nodes {
@@ -408,8 +412,8 @@ impl Learner {
         Ok((all.iter().map(|node| lines(&node[FIGURES..])).collect(), sums.unwrap_or_default()))
     }
 
-    /// The sum of the subtrees of all workers, and of their figures: each worker sums a piece, and sends it to the
-    /// others.
+    /// Reduces the subtrees of all workers, and their figures: each worker sums a piece, and sends
+    /// it to the others.
     fn reduce(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
         let (count, length) = (self.shares.worker.count, nodes[0].0.len());
         let piece = length.div_ceil(count);
@@ -435,7 +439,7 @@ impl Learner {
         Ok((vec![all], sums.unwrap_or_default()))
     }
 
-    /// Limits the norms of the gradients, whose squares are given, and takes a step with each network.
+    /// Limits the norms of the gradients, given their squares, and takes a step with each network.
     fn step_networks(&mut self, team: &impl Team, squares: [f64; 2], learning_rate: f64) {
         let dispatch = self.dispatch;
         let limit = self.settings.options.algorithm.max_grad_norm;
@@ -451,7 +455,7 @@ impl Learner {
             }
         }
         team.for_each(tasks, |step| dispatch.vectorize(step));
-        // Adam knows no bounds: a small deviation with a large rate would become negative
+        // Adam has no bounds: a small deviation with a large rate would become negative
         self.actor.model.limit_deviations(RANGE);
         team.for_each(vec![&mut self.actor, &mut self.critic], |net| net.model.transpose());
     }
@@ -524,8 +528,8 @@ impl Kernel<f32> for OfObservations<'_> {
     }
 }
 
-/// The learning rate that follows a divergence. The first mini-batch has the policy that collected the samples: its
-/// divergence is exactly zero, and changes nothing.
+/// The learning rate that follows from a divergence. The first mini-batch is evaluated by the
+/// policy that collected the samples: its divergence is exactly zero, and changes nothing.
 fn adapted(rate: f64, divergence: f64, desired: f64) -> f64 {
     if divergence > desired * 2.0 {
         (rate / RATE_STEP).max(RATES[0])
