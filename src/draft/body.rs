@@ -1,4 +1,4 @@
-//! A pose to stand in for bodies of any class but quadrupeds of twelve joints, found from the URDF alone.
+//! Standing poses, from the URDF alone, for bodies of any class but quadrupeds of twelve joints.
 
 use std::ops::RangeInclusive;
 
@@ -12,11 +12,11 @@ use crate::robot::{Limb, LimbKind, Model, Place, Pose, Role, Roles};
 const CROUCH: f64 = 0.72;
 const ON_SOLES: f64 = 0.93;
 const ON_POINTS: f64 = 0.9;
-/// Where feet are put in turn if they do not reach their places: shares of that height, and of the way from below the hips to below the
-/// centre of mass, which a sole need not have in its middle.
+/// Other places for feet that do not reach theirs, tried in turn: shares of that height, and of the
+/// way from below the hips to below the centre of mass, which a sole need not have in its middle.
 const OTHER_PLACES: [(f64, f64); 6] = [(1.0, 0.5), (1.0, 0.0), (0.95, 1.0), (0.95, 0.5), (0.95, 0.0), (0.9, 0.5)];
-/// How far the thighs of a leg that points away from the body are raised, rad, and the least share of its length by which the foot
-/// lies below the hip then. PhantomX stands so.
+/// Angle by which the thighs of a leg that points away from the body are raised, rad, and the least
+/// share of its length by which the foot then lies below the hip. PhantomX stands so.
 const RAISED: f64 = 0.4;
 const CLEARANCE: f64 = 0.35;
 /// Knee angle that the search for a pose begins with, rad: of two legs, and of more.
@@ -104,7 +104,7 @@ impl Standing {
     }
 }
 
-/// Zero, or the middle of a range that does not have it: a joint at its stop has nowhere to go.
+/// Zero, or the middle of a range without zero: a joint at its stop has nowhere to go.
 fn rest(model: &Model, joint: usize) -> f64 {
     let own = &model.joints[joint];
     if own.lower > 0.0 || own.upper < 0.0 {
@@ -114,7 +114,7 @@ fn rest(model: &Model, joint: usize) -> f64 {
     nearest_to_zero(own)
 }
 
-/// Turns the shoulder of an arm that is stretched out until the arm is lowest.
+/// Turns the shoulder of a stretched arm until the arm is lowest.
 fn let_hang(model: &Model, limb: &Limb, q: &mut [f64]) {
     let Some(first) = limb.joints.first() else {
         return;
@@ -140,7 +140,7 @@ fn let_hang(model: &Model, limb: &Limb, q: &mut [f64]) {
         for step in 0..=ANGLES {
             q[joint] = at(&range, f64::from(step) / f64::from(ANGLES));
             let z = centre(q).0.z;
-            // 1 mm: of angles that are as good, the one nearest to zero
+            // 1 mm: among equally good angles, the one nearest to zero
             if z < best.0 - 1e-3 || (z < best.0 + 1e-3 && q[joint].abs() < best.1.abs()) {
                 best = (z.min(best.0), q[joint]);
             }
@@ -153,7 +153,7 @@ fn at(range: &RangeInclusive<f64>, share: f64) -> f64 {
     range.start() + (range.end() - range.start()) * share
 }
 
-/// A link and all that hangs on it.
+/// A link and all links below it.
 pub(super) fn below(model: &Model, link: usize) -> Vec<usize> {
     let mut links = vec![link];
     let mut next = 0;
@@ -164,7 +164,7 @@ pub(super) fn below(model: &Model, link: usize) -> Vec<usize> {
     links
 }
 
-/// A leg and what it stands with.
+/// A leg, with the data that it stands by.
 struct Leg<'a> {
     limb: &'a Limb,
     /// Joints that the pose moves.
@@ -174,11 +174,12 @@ struct Leg<'a> {
     radius: f64,
     /// The joint that bends first, base frame, m.
     hip: DVec3,
-    /// From the hip over all joints that bend to the foot, m.
+    /// Length from the hip over all joints that bend to the foot, m.
     length: f64,
-    /// Where the foot is to the left of the base, m.
+    /// Distance of the foot to the left of the base, m.
     track: f64,
-    /// Rotation of the foot's link with all joints at zero, of a leg whose ankle can keep the sole level.
+    /// Rotation of the foot's link with all joints at zero, for a leg whose ankle can keep the sole
+    /// level.
     level: Option<DMat3>,
     /// Direction of a leg that points away from the body, and the lengths of its first part and of
     /// the rest, m.
@@ -214,7 +215,7 @@ impl<'a> Leg<'a> {
         })
     }
 
-    /// How far below the hip the foot should lie, m.
+    /// Wanted depth of the foot below the hip, m.
     fn drop(&self, is_biped: bool) -> f64 {
         match self.radial {
             Some((_, first, rest)) => rest - first * self.raised().sin(),
@@ -233,7 +234,7 @@ impl<'a> Leg<'a> {
         most.clamp(-1.0, 1.0).asin().min(RAISED)
     }
 
-    /// From the hip of a leg that points away from the body to its foot, horizontally, m.
+    /// Horizontal vector from the hip of a leg that points away from the body to its foot, m.
     fn reach(&self) -> Option<DVec3> {
         self.radial.map(|(out, first, _)| out * (first * self.raised().cos()))
     }
@@ -242,8 +243,8 @@ impl<'a> Leg<'a> {
         links[self.foot_link].transform_point(self.foot_point)
     }
 
-    /// Angles for which the foot is nearest to `target`, written to `q`. Returns the distance that is left, m. Knees of two legs
-    /// point forward, of more to the rear, where they can.
+    /// Writes the angles to `q` for which the foot is nearest to `target`. Returns the remaining
+    /// distance, m. Knees of two legs point forward, of more to the rear, where they can.
     fn solve(&self, model: &Model, target: DVec3, is_biped: bool, q: &mut [f64]) -> f64 {
         let mut best: Option<(bool, f64, Vec<f64>)> = None;
         let usual = if is_biped { KNEES[0] } else { -KNEES[1] };
@@ -265,7 +266,7 @@ impl<'a> Leg<'a> {
             self.refine(model, target, &start, is_search, &mut angles);
             let miss = self.foot(&model.forward_kinematics(&angles)).distance(target);
             let reached = miss < REACHED;
-            // the usual side comes first, and only one that reaches farther takes its place
+            // the usual side comes first; another one must reach farther to replace it
             if best.as_ref().is_none_or(|(good, least, _)| !good && (reached || miss < *least)) {
                 best = Some((reached, miss, angles));
             }
@@ -303,7 +304,7 @@ impl<'a> Leg<'a> {
         best.map(|(_, angles)| angles)
     }
 
-    /// Bends the knee by an angle in its canonical direction; hip and ankle make up for it.
+    /// Bends the knee by an angle in its canonical direction; hip and ankle compensate.
     fn bend(&self, model: &Model, knee: f64, q: &mut [f64]) {
         for own in &self.limb.joints {
             let angle = match own.slot.role {
@@ -374,7 +375,8 @@ impl<'a> Leg<'a> {
     }
 }
 
-/// The step that lessens `errors` most, of difference quotients by column: (J'J + damping) step = J' errors.
+/// The step that reduces `errors` most, from difference quotients by column: (J'J + damping) step =
+/// J' errors.
 fn normal_step(columns: &[Vec<f64>], errors: &[f64], damping: f64) -> Vec<f64> {
     let n = columns.len();
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
@@ -421,7 +423,7 @@ fn torques(model: &Model, legs: &[Leg<'_>], q: &[f64]) -> Vec<(Role, f64)> {
     torques
 }
 
-/// Largest torque that gravity has about a joint, of all that hangs on it, in whatever pose, N m.
+/// Largest torque of gravity about a joint, from all links that it carries, in any pose, N m.
 pub(super) fn gravity_moment(model: &Model, joint: usize) -> f64 {
     let zero = model.forward_kinematics(&[]);
     let links = below(model, joint + 1);

@@ -1,4 +1,4 @@
-//! Velocities that a draft's legs can be asked for, told from their length and from how their joints move the feet.
+//! Command ranges of a draft, from the legs' length and from how their joints move the feet.
 
 use glam::DVec3;
 
@@ -7,8 +7,8 @@ use crate::robot::{JointKind, LimbKind, Model, Role, Roles};
 use super::round;
 use super::stance::GRAVITY;
 
-/// Froude number v^2 / (g L) of the fastest command ahead: a brisk walk or a trot, which drawn bodies and robots of
-/// `configs/robots` are trained at.
+/// Froude number v^2 / (g L) of the fastest command ahead: a brisk walk or a trot, as in the
+/// training of drawn bodies and of robots in `configs/robots`.
 const FROUDE: f64 = 0.25;
 /// Shares of that speed backwards and sideways: of quadrupeds, of two legs, and of legs that point away from the body, whose
 /// share ahead is the third.
@@ -24,11 +24,11 @@ const MOVES: f64 = 0.3;
 /// A box of commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Commands {
-    /// Backwards and ahead, m/s.
+    /// Speeds backwards and ahead, m/s.
     pub ahead: [f64; 2],
-    /// To either side, m/s; 0 for legs that cannot spread.
+    /// Speed to either side, m/s; 0 for legs that cannot spread.
     pub aside: f64,
-    /// To either side, rad/s; 0 for two legs that neither spread nor turn.
+    /// Yaw rate to either side, rad/s; 0 for two legs that neither spread nor turn.
     pub turn: f64,
 }
 

@@ -16,8 +16,9 @@ const USUAL_MASS: f64 = 15.0;
 const POWER_OF_MASS: f64 = -0.2;
 /// Bounds of that stiffness over weight times leg length: softer legs buckle, stiffer ones shake.
 const STIFFNESS_BOUNDS: [f64; 2] = [0.25, 0.8];
-/// Stiffness of two legs over weight times leg length. Standing takes it: two softer ankles do not hold the moment of the
-/// weight as the body leans. Makers choose less, 0.01 at an ankle to 1.2 at a hip, and let a policy balance.
+/// Stiffness of two legs over weight times leg length. Standing needs it: two softer ankles do not
+/// hold the moment of the weight as the body leans. Makers choose less, 0.01 at an ankle to 1.2 at
+/// a hip, and let a policy balance.
 const STIFFNESS_OF_TWO_LEGS: f64 = 0.7;
 const DAMPING_OF_TWO_LEGS: f64 = 1.0 / 40.0;
 /// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds in `configs/robots` have 1/50
@@ -31,7 +32,8 @@ const ANKLE_EFFORT: f64 = 0.15;
 /// `configs/robots` have 1.2 times and 300 N m.
 const MOST_LOADS: f64 = 2.0;
 const MOST_EFFORT: f64 = 1000.0;
-/// Speed limit where the URDF has none, of a leg of 1 m, rad/s m^0.5: speeds of like motion fall with the root of the length.
+/// Speed limit where the URDF has none, of a leg of 1 m, rad/s m^0.5: by dynamic similarity speeds
+/// fall with the root of the length.
 const SPEED: f64 = 12.6;
 /// Speed limits beyond this are placeholders, rad/s; the fastest motor in `configs/robots` reaches 52.
 const MOST_SPEED: f64 = 100.0;
@@ -41,7 +43,7 @@ const MOST_SPEED: f64 = 100.0;
 const HELD: f64 = 10.0;
 const HELD_EFFORT: f64 = 3.0;
 const HELD_LEAST: f64 = 0.02;
-/// Damping over stiffness of these, s.
+/// Damping over stiffness of these joints, s.
 const HELD_DAMPING: f64 = 1.0 / 20.0;
 
 /// Gains and limits of a joint.
@@ -51,16 +53,16 @@ pub(super) struct Drive {
     pub damping: f64,
     pub effort: f64,
     pub velocity: f64,
-    /// Why the effort limit is not the URDF's.
+    /// Origin of the effort limit.
     pub effort_is: Limit,
-    /// Why the speed limit is not the URDF's.
+    /// Origin of the speed limit.
     pub velocity_is: Limit,
 }
 
-/// Where a limit comes from.
+/// Origin of a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Limit {
-    /// The URDF says it.
+    /// The URDF states it.
     Stated,
     /// The URDF has none, or 0.
     Absent,
@@ -130,7 +132,7 @@ impl<'a> Drives<'a> {
         drives
     }
 
-    /// Factor on what holds for the usual mass.
+    /// Factor on values that hold for the usual mass.
     fn of_mass(&self) -> f64 {
         (self.model.total_mass() / USUAL_MASS).powf(POWER_OF_MASS)
     }

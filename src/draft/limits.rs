@@ -7,15 +7,15 @@ use crate::robot::{Model, Role, Roles};
 
 /// Joints whose limits are this far apart turn freely, rad: URDFs without limits have -6.28 .. 6.28 or more.
 const FREELY: f64 = 6.0;
-/// Limits of such joints from where the leg hangs straight, rad, as drawn bodies have them: abduction, and hip and knee of a
-/// leg whose knee bends to the rear. A knee does not pass straight.
+/// Limits of such joints from where the leg hangs straight, rad, as in drawn bodies: abduction, and
+/// hip and knee of a leg whose knee bends to the rear. A knee does not pass straight.
 const ABDUCTION: [f64; 2] = [-0.9, 0.9];
 const HIP: [f64; 2] = [-1.5, 3.4];
 const KNEE: [f64; 2] = [-2.7, -0.3];
 
-/// Limits by name of the slot, in its direction, rad, for joint positions `q` that stand.
+/// Assumed limits by slot, in its direction, rad, for joint positions `q` of a standing pose.
 pub(super) fn assumed(model: &Model, roles: &Roles, q: &[f64]) -> BTreeMap<String, [f64; 2]> {
-    // from where the leg hangs, by less than half a turn
+    // angle from where the leg hangs, less than half a turn
     let hanging = |at: usize| {
         let (position, zero) = (roles.sign_of_slot[at] * q[roles.joint_of_slot[at]], roles.zero_of_slot[at]);
         let angle = position - zero;

@@ -1,4 +1,4 @@
-//! A first config for a robot of which only the URDF is known: roles, a pose to stand in, gains, ranges.
+//! First configs for robots of which only the URDF is known: roles, a standing pose, gains, ranges.
 
 mod body;
 mod commands;
@@ -28,7 +28,7 @@ const ACTION_SCALES: [f64; 2] = [0.25, 0.5];
 /// Share of the effort limit that standing may take.
 const STANDING_EFFORT: f64 = 0.5;
 
-/// A robot config as text, and what its writer has to look at.
+/// A robot config as text, and notes for its author.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Draft {
     /// The robot's name in configs.
@@ -39,7 +39,7 @@ pub struct Draft {
     pub notes: Vec<String>,
     /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
     pub class: String,
-    /// Why it cannot stand without a policy, if its geometry says so.
+    /// Reason why it cannot stand without a policy, if its geometry has one.
     pub needs_policy: Option<String>,
 }
 
@@ -85,7 +85,7 @@ struct Findings<'a> {
     /// Role, and the torque that standing takes of its joints, N m.
     torques: Vec<(&'static str, f64)>,
     action_scale: f64,
-    /// Whether the event body_variation knows its legs.
+    /// Whether the event `body_variation` supports its legs.
     has_variation: bool,
     locked: BTreeMap<String, f64>,
     /// Joints of `locked` that mimic others.
@@ -102,7 +102,7 @@ struct Findings<'a> {
 
 /// A joint of the draft.
 struct Drafted {
-    /// Name of the slot, and how it ends: its role and number.
+    /// Name of the slot, and its end: role and number.
     name: String,
     suffix: String,
     joint: usize,
@@ -213,8 +213,9 @@ pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     Ok(Draft { toml, notes, class: findings.class, needs_policy: findings.needs_policy, name })
 }
 
-/// Joints that move nothing but a rod or a gear, as models of linkages without their loops have them, with their share of the
-/// mass. Joints of the legs' own chains and joints that the options name stay.
+/// Joints that move nothing but a rod or a gear, with their share of the mass. Models of linkages
+/// without their loops have such joints. Joints of the legs' own chains and joints that the options
+/// name stay.
 fn linkages(model: &Model, roles: Option<&Roles>, options: &DraftOptions) -> BTreeMap<String, f64> {
     let total = model.total_mass();
     let share = |joint: usize| {
@@ -240,7 +241,7 @@ fn linkages(model: &Model, roles: Option<&Roles>, options: &DraftOptions) -> BTr
         .collect()
 }
 
-/// Why a body cannot stand by itself, whatever its gains.
+/// Reason why a body cannot stand by itself, whatever its gains.
 fn needs_policy(roles: &Roles) -> Option<String> {
     let has_ankles = roles.slots.iter().any(|slot| slot.role == Role::AnklePitch);
     match (roles.legs.len(), has_ankles) {
@@ -253,7 +254,7 @@ fn needs_policy(roles: &Roles) -> Option<String> {
 }
 
 impl Findings<'_> {
-    /// Finds a pose to stand in: joint positions in the robot's own order and directions, rad.
+    /// Finds a standing pose: joint positions in the robot's own order and directions, rad.
     fn stand(&mut self, roles: &Roles) -> Vec<f64> {
         let Some(legs) = Legs::of(roles) else {
             let standing = Standing::find(self.model, roles);
@@ -271,7 +272,7 @@ impl Findings<'_> {
         q
     }
 
-    /// Chooses gains and limits of all joints for a pose, and what the legs can be asked for.
+    /// Chooses gains and limits of all joints for a pose, and the command ranges.
     fn drive(&mut self, roles: &Roles, q: &[f64]) {
         let drives = Drives::new(self.model, roles, self.leg_length, self.options.gain_factor.unwrap_or(1.0));
         self.commands = Commands::new(self.model, roles, self.leg_length, q);
@@ -286,7 +287,7 @@ impl Findings<'_> {
             .collect();
     }
 
-    /// Joints with the same gains and limits together, in the order of their first slots.
+    /// Groups of joints with the same gains and limits, in the order of their first slots.
     fn groups(&self) -> Vec<(Drive, Vec<usize>)> {
         let mut groups: Vec<(Drive, Vec<usize>)> = Vec::new();
         for (slot, joint) in self.joints.iter().enumerate() {
@@ -344,7 +345,7 @@ impl Findings<'_> {
         notes
     }
 
-    /// Limits that are not the URDF's: a line for each reason and number, with its joints.
+    /// Limits that differ from the URDF's: a line for each reason and number, with its joints.
     fn notes_on_limits(&self) -> Vec<String> {
         let efforts = self.joints.iter().map(|own| ("effort", "N m", own.drive.effort_is, own.drive.effort, own.joint));
         let speeds =
@@ -374,8 +375,9 @@ impl Findings<'_> {
     }
 }
 
-/// Reward set of the known robot of the same class whose mass is nearest, as a ratio; robots on two legs also agree in whether they
-/// have ankles. Without any: that of the quadruped whose mass is nearest.
+/// Reward set of the known robot of the same class whose mass is nearest, as a ratio; robots on two
+/// legs also agree in whether they have ankles. If there is none: the reward set of the quadruped
+/// whose mass is nearest.
 fn reward_set(model: &Model, roles: &Roles) -> Result<String, Error> {
     let kind = |roles: &Roles| {
         let has_ankles = roles.legs.len() == 2 && roles.slots.iter().any(|slot| slot.role == Role::AnklePitch);
@@ -385,7 +387,7 @@ fn reward_set(model: &Model, roles: &Roles) -> Result<String, Error> {
     let library = Library::new(Vec::new());
     let mut nearest: Option<(bool, f64, String)> = None;
     for entry in library.robots()?.into_iter().filter(|entry| entry.is_quadruped || !is_corners) {
-        // a broken config of another robot is no reason to stop
+        // a broken config of another robot does not stop the draft
         let Ok(known) = library.robot(&entry.name) else {
             continue;
         };
@@ -421,6 +423,6 @@ fn round(value: f64) -> f64 {
     }
     let unit = 10.0_f64.powf(value.log10().floor() - 1.0);
     let rounded = (value / unit).round() * unit;
-    // without the tail of the division
+    // removes the rounding of the division
     format!("{rounded:.6}").parse().unwrap_or(rounded)
 }

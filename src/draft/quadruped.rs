@@ -6,9 +6,10 @@ use crate::robot::{CANONICAL_JOINT_NAMES, LEGS, Place, Roles, Slot};
 
 /// Joints and feet of a quadruped with twelve joints in its legs.
 pub(super) struct Legs {
-    /// For each of [`CANONICAL_JOINT_NAMES`], the joint.
+    /// Joint of each of [`CANONICAL_JOINT_NAMES`].
     pub joint_of_slot: [usize; CANONICAL_JOINT_NAMES.len()],
-    /// For each of [`LEGS`], the contact body of its foot, and the foot's point and radius in the frame of its link, m.
+    /// Contact body of the foot of each of [`LEGS`], and the foot's point and radius in the frame
+    /// of its link, m.
     pub foot_body: [usize; LEGS.len()],
     pub foot_point: [DVec3; LEGS.len()],
     pub foot_radius: [f64; LEGS.len()],

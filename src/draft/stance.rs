@@ -1,4 +1,4 @@
-//! A pose to stand in, found from the URDF alone.
+//! Standing poses of quadrupeds, from the URDF alone.
 
 use std::ops::RangeInclusive;
 
@@ -12,9 +12,9 @@ use crate::robot::{Joint, LEGS, Model, Pose};
 /// of the known quadrupeds are trained (thighs 0.8 rad to the rear in front and 1.0 behind, knees bent by 1.5, legs 0.1
 /// outwards: Isaac Lab), with all feet on one level: a policy walks best from a pose that it knows.
 const CROUCH: f64 = 0.72;
-/// How far front and hind feet lie behind their hips, in the same share.
+/// Distance of front and hind feet behind their hips, as the same share.
 const BEHIND: [f64; 2] = [0.037, 0.181];
-/// How far the legs lean outwards, rad.
+/// Angle by which the legs lean outwards, rad.
 const OUTWARD: f64 = 0.1;
 /// Share of each joint's range that the pose keeps away from either end.
 const MARGIN: f64 = 0.05;
@@ -23,11 +23,11 @@ const TURN: f64 = std::f64::consts::PI;
 /// Angles of thigh and knee that the search begins with, each.
 const STARTS: u32 = 24;
 const ITERATIONS: u32 = 60;
-/// Times that the feet are moved below the centre of mass, which moves as they do.
+/// Number of times that the feet are moved below the centre of mass, which moves with them.
 pub(super) const ROUNDS: u32 = 3;
-/// A foot that comes this near is where it should be, m.
+/// Distance below which a foot has reached its place, m.
 pub(super) const REACHED: f64 = 1e-3;
-/// A robot is drafted to stand on Earth, m/s^2.
+/// Gravity, m/s^2: a robot is drafted to stand on Earth.
 pub(super) const GRAVITY: f64 = EARTH_GRAVITY;
 
 /// A pose with bent knees in which all feet stand level, behind and outside the hips, about the centre of mass.
@@ -71,7 +71,7 @@ impl Stance {
     }
 }
 
-/// A leg and where its foot should stand.
+/// A leg, with the place for its foot.
 struct Leg {
     joints: [usize; 3],
     foot_link: usize,
@@ -79,9 +79,9 @@ struct Leg {
     radius: f64,
     /// The hip flexion joint with the leg upright, between left and right at the axis of abduction, base frame, m.
     hip: DVec3,
-    /// Thigh and shank, m.
+    /// Length of thigh and shank together, m.
     length: f64,
-    /// Where the foot is to the left of the base when the leg stands upright, m.
+    /// Distance of the foot to the left of the base when the leg stands upright, m.
     track: f64,
 }
 
@@ -115,8 +115,8 @@ impl Leg {
         links[self.foot_link].transform_point(self.foot_point)
     }
 
-    /// Angles for which the foot is nearest to `target`, written to `q`; knees bend to the rear where they can. Returns the
-    /// distance that is left, m.
+    /// Writes the angles to `q` for which the foot is nearest to `target`; knees bend to the rear
+    /// where they can. Returns the remaining distance, m.
     fn solve(&self, model: &Model, target: DVec3, q: &mut [f64]) -> f64 {
         let ranges = self.joints.map(|joint| range(model, joint));
         let mut solutions: Vec<(bool, f64, [f64; 3])> = Vec::new();
@@ -217,7 +217,7 @@ pub(super) fn nearest_to_zero(joint: &Joint) -> f64 {
     0.0_f64.max(joint.lower).min(joint.upper)
 }
 
-/// Where a joint may be put, rad.
+/// Range of a joint in the search, rad.
 pub(super) fn range(model: &Model, joint: usize) -> RangeInclusive<f64> {
     let joint = &model.joints[joint];
     let (lower, upper) = (joint.lower.max(-TURN), joint.upper.min(TURN));
@@ -233,7 +233,7 @@ fn at(range: &RangeInclusive<f64>, step: u32) -> f64 {
     range.start() + (range.end() - range.start()) * f64::from(step) / f64::from(STARTS)
 }
 
-/// In the base frame, m.
+/// Centre of mass in the base frame, m.
 pub(super) fn centre_of_mass(model: &Model, q: &[f64]) -> DVec3 {
     let links = model.forward_kinematics(q);
     let moment: DVec3 =

@@ -8,14 +8,14 @@ use super::drive::Limit;
 use super::{Drafted, Findings, GRAVITY, round, stance};
 use crate::config::matches;
 
-/// Share of weight and mass that is drawn.
+/// Share of weight and mass that is randomised.
 const SHARE: f64 = 0.1;
-/// Most of the base's mass that is taken away.
+/// Largest share of the base's mass that randomisation removes.
 const HALF: f64 = 0.5;
 
 pub(super) fn write(findings: &Findings<'_>) -> String {
     let mut out = String::new();
-    // a string takes all that is written to it
+    // writing to a string never fails
     let _ = head(findings, &mut out)
         .and_then(|()| roles(findings, &mut out))
         .and_then(|()| pose(findings, &mut out))
@@ -134,7 +134,7 @@ fn commands(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     writeln!(out, "ang_vel_z = {:?}", [-commands.turn + 0.0, commands.turn])
 }
 
-/// Groups that a name lists; larger ones are numbered.
+/// Number of groups up to which a name lists them; larger ones are numbered.
 const LISTED: usize = 3;
 
 /// A name and patterns for these slots.
