@@ -9,12 +9,12 @@ use crate::dynamics::HeightGrid;
 pub struct Mesh {
     /// Corners of the triangles, m.
     pub vertices: Vec<[f32; 3]>,
-    /// Three vertices each; those that can be stood on are counterclockwise from above.
+    /// Vertices of each triangle; triangles that can be stood on are counterclockwise from above.
     pub triangles: Vec<[u32; 3]>,
 }
 
 impl Mesh {
-    /// The triangles of a collider that is made of some.
+    /// The triangles of a collider that consists of triangles.
     pub fn of_collider(collider: &Collider) -> Option<Self> {
         let surface = collider.shape().as_trimesh()?;
         Some(Self {
@@ -104,7 +104,7 @@ impl Mesh {
             if i1 < 0.0 || j1 < 0.0 {
                 continue;
             }
-            // how far outside a point may lie, as a share of the triangle
+            // tolerance for points outside, as a share of the triangle
             let slack = EDGE * longest / area.abs();
             for i in i0..=i1 as usize {
                 for j in j0..=j1 as usize {

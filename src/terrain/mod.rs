@@ -11,7 +11,7 @@ pub use mesh::Mesh;
 use crate::components::EnvRng;
 use crate::config::TerrainConfig;
 
-/// Where the tiles are and of which type.
+/// Tiles of a terrain: their places and types.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TerrainLayout {
     /// Levels of difficulty: tiles along x.
@@ -48,8 +48,8 @@ impl TerrainLayout {
         [middle(level, self.num_rows, self.size[0]), middle(column, self.num_cols, self.size[1])]
     }
 
-    /// Column of the env at `index` among its robot's envs. Robots meet columns equally often: `num_cols` envs in
-    /// a row have all columns, a few have columns far apart.
+    /// Column of the env at `index` among its robot's envs. All columns get the same number of a
+    /// robot's envs: `num_cols` consecutive envs have all columns, a few have columns far apart.
     pub fn column_of(&self, index: usize) -> u32 {
         let columns = u64::from(self.num_cols);
         let common = |a: u64, b: u64| {
@@ -65,13 +65,13 @@ impl TerrainLayout {
     }
 }
 
-/// A tile's surface about its middle, and where that is in the world.
+/// A tile's surface about its middle, and its place in the world.
 pub struct Tile {
     /// Level of difficulty.
     pub row: u32,
     /// Place along y.
     pub column: u32,
-    /// m, world axes, about `origin`.
+    /// Surface about `origin`, m, world axes.
     pub mesh: Mesh,
     /// x and y of the middle, m.
     pub origin: [f32; 2],
