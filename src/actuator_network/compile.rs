@@ -1,7 +1,8 @@
-//! From the graph of an ONNX file to the instructions of a [`NetworkProgram`].
+//! Compiler from the graph of an ONNX file to the instructions of a [`NetworkProgram`].
 //!
-//! Every node is either understood, or what it gives is marked with the reason why not. Only what the network's first output is computed
-//! from must be understood: the states that an LSTM hands out and takes in are kept by the simulator.
+//! Every node is either understood, or its outputs are marked with the reason why not. Only the
+//! nodes behind the network's first output must be understood: the simulator keeps the states that
+//! an LSTM hands out and takes in.
 
 use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
@@ -10,11 +11,11 @@ use super::onnx::{Graph, Node, Tensor, ValueInfo};
 use super::{NetworkError, NetworkKind};
 use crate::dynamics::{Function, Instruction, NetworkProgram, Operation, Span};
 
-/// Most features of a joint; each is computed in every lane.
+/// Largest number of features of a joint; each is computed in every lane.
 const MAX_FEATURES: usize = 4096;
-/// Most nodes of a graph.
+/// Largest number of nodes of a graph.
 const MAX_NODES: usize = 1000;
-/// Most numbers that a network remembers of a joint: LSTMs of 256 units in four layers.
+/// Largest number of values that a network remembers of a joint: LSTMs of 256 units in four layers.
 const MAX_MEMORY: usize = 2048;
 
 /// ONNX's codes of single precision, double precision and 64-bit integers.
@@ -33,7 +34,7 @@ enum Value {
     Ints(Rc<[i64]>),
     /// Features of a joint, the last axis of a tensor with this many axes.
     Features(Span, usize),
-    /// Nothing that is known, and why.
+    /// Unknown value, and the reason.
     Unknown(NetworkError),
 }
 
@@ -42,7 +43,7 @@ struct Compiler {
     features: usize,
     memory: usize,
     lstm_layers: usize,
-    /// How often each name of the graph is read.
+    /// Number of times that each name of the graph is read.
     uses: HashMap<String, usize>,
     /// Features that go by several names, by their first number: no node overwrites them.
     shared: HashSet<usize>,
@@ -77,7 +78,7 @@ pub(super) fn compile(graph: &Graph, inputs: usize, kind: NetworkKind) -> Result
     let mut given = graph.inputs.iter().filter(|input| !graph.initializers.iter().any(|t| t.name == input.name));
     let input = given.next().ok_or_else(|| NetworkError::new("graph", "has no input", "export the network again"))?;
     values.insert(&input.name, Value::Features(Span { first: 0, len: inputs }, check_input(input, inputs)?));
-    // hidden states come after it
+    // hidden states follow the input
     for state in given {
         let problem = "is an input beside the first one, of which only an LSTM's states are known";
         let remedy = "give the network one input: position errors and velocities";
@@ -122,7 +123,7 @@ pub(super) fn compile(graph: &Graph, inputs: usize, kind: NetworkKind) -> Result
         .ok_or_else(|| NetworkError::new("graph", "cannot be put in order", "export the network again"))
 }
 
-/// Leaves out instructions whose result nobody reads. Cells remember and stay.
+/// Leaves out instructions whose results are never read. Cells have memory and stay.
 fn leave_out_unread(instructions: &mut Vec<Instruction>, output: Span) {
     let mut read = vec![output];
     let mut kept = Vec::with_capacity(instructions.len());
@@ -393,7 +394,7 @@ impl Compiler {
                     self.instructions.push(Instruction::Copy { from: *span, to });
                     to
                 }
-                // constants of all rows alone: other axes are of size one
+                // constants over rows alone: other axes are of size one
                 Value::Floats(values, dims)
                     if (values.len() == width || values.len() == 1) && dims.iter().rev().skip(1).all(|&d| d == 1) =>
                 {
@@ -474,10 +475,10 @@ impl Compiler {
         let to = self.new_features(hidden, node)?;
         self.instructions.push(Instruction::Cell { gates: of_gates, hidden: h, cell: c, to });
         self.lstm_layers += 1;
-        // its outputs are two names of the same numbers
+        // two names of the same numbers
         self.shared.insert(to.first);
         let states = failed("gives a cell state, which is no torque", "let the torque follow from the layer's output");
-        // all steps of the sequence, which is one long, then the last one
+        // all steps of the sequence, of which there is one, then the last step
         Ok(vec![Value::Features(to, 4), Value::Features(to, 3), Value::Unknown(states)])
     }
 }
@@ -500,7 +501,7 @@ fn matrix(node: &Node, value: &Value) -> Result<(Rc<[f32]>, [usize; 2]), Network
     }
 }
 
-/// Operators that move numbers and compute none. A joint's features must stay the last axis.
+/// Operators that move numbers and compute nothing. A joint's features must stay the last axis.
 fn reshape(
     node: &Node,
     value: &Value,

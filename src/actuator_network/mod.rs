@@ -18,7 +18,7 @@ pub(crate) const MAX_BYTES: u64 = 4 << 20;
 /// Problem of a network file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct NetworkError {
-    /// Where: a node, an input, a tensor.
+    /// Place of the problem: a node, an input, a tensor.
     pub(crate) element: String,
     pub(crate) problem: String,
     pub(crate) remedy: String,

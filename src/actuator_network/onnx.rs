@@ -1,5 +1,5 @@
-//! The part of ONNX's files that a small network is made of. Field numbers are those of `onnx.proto` (ONNX, Apache-2.0); what is not
-//! listed is skipped.
+//! The parts of ONNX's format that small networks use. Field numbers are those of `onnx.proto`
+//! (ONNX, Apache-2.0); other fields are skipped.
 
 use prost::Message;
 
@@ -120,7 +120,7 @@ pub(super) struct Dim {
 }
 
 impl ValueInfo {
-    /// Its sizes, 0 where one has a name; none where they are not stated.
+    /// Sizes of the axes, 0 where an axis has a name; None where they are not stated.
     pub(super) fn dims(&self) -> Option<Vec<i64>> {
         let shape = self.kind.as_ref()?.tensor.as_ref()?.shape.as_ref()?;
         Some(shape.dims.iter().map(|dim| dim.value).collect())
@@ -140,7 +140,7 @@ impl Node {
         self.attribute(name).map_or(default, |attribute| attribute.int)
     }
 
-    /// How an error names it.
+    /// Name of the node in errors.
     pub(super) fn title(&self) -> String {
         let name = if self.name.is_empty() { self.outputs.first().map_or("", |output| output) } else { &self.name };
         format!("node `{name}` ({})", self.operator)
