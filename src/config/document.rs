@@ -1,4 +1,4 @@
-//! Config files: on disk in folders laid out like this repository, and those compiled in.
+//! Config files: those on disk, in folders laid out like this repository, and those compiled in.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub(super) struct Document {
     /// Path as shown to people; a built-in file's path within the repository.
     pub file: String,
     pub text: Result<String, ConfigError>,
-    /// Tells the file from all others, however its path is written.
+    /// Identity of the file, however its path is written.
     pub id: PathBuf,
     pub stem: String,
     /// The folder of a file on disk and the root it lies under, if it does.
@@ -52,7 +52,7 @@ impl Kind {
 }
 
 impl Document {
-    /// Its text, or why it cannot be read.
+    /// Its text, or the reason why it cannot be read.
     pub(super) fn text(&self) -> Result<&str, ConfigError> {
         self.text.as_deref().map_err(Clone::clone)
     }
@@ -129,7 +129,7 @@ fn read_built_in(file: &'static File<'static>) -> Document {
     }
 }
 
-/// The folder of a kind in a root, which need not be there.
+/// The folder of a kind in a root, which may be absent.
 fn folder_of(root: &Path, kind: Kind) -> Result<PathBuf, ConfigError> {
     if root.is_dir() {
         return Ok(root.join("configs").join(kind.folder()));
@@ -154,7 +154,7 @@ fn toml_files(root: &Path, kind: Kind) -> Result<Vec<PathBuf>, ConfigError> {
     Ok(files)
 }
 
-/// Whether a path, or a name given for a config, is that of a TOML file.
+/// Whether a path or a config's name ends in `.toml`.
 pub(super) fn is_toml(path: &Path) -> bool {
     path.extension() == Some(OsStr::new("toml"))
 }

@@ -51,7 +51,7 @@ impl ConfigError {
         }
     }
 
-    /// A robot that is not part of a run, whose robots are `names`.
+    /// Error about a robot that is not part of a run, whose robots are `names`.
     pub fn unknown_robot_of_run(robot: &str, names: &[&str]) -> Self {
         let remedy = super::did_you_mean(robot, names.iter().copied(), "robots of this run");
         Self::invalid("robots", robot, format!("no robot `{robot}` takes part in this run"), remedy)

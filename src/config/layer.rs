@@ -19,11 +19,12 @@ pub(super) const EXTENDS: &str = "extends";
 /// Keys that tell one config from another and are therefore never inherited.
 pub(super) const IDENTITY: [&str; 3] = ["name", "aliases", "title"];
 
-/// A config's files, the one that extends no other first; none of a config that was not read from files.
+/// A config's files, the one that extends no other first; empty for a config that was not read from
+/// files.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layers(pub(super) Vec<Layer>);
 
-/// One file, parsed, or a few keys put on top of it.
+/// One file, parsed, or a few keys on top of it.
 #[derive(Clone, Debug)]
 pub(super) struct Layer {
     pub document: Document,
@@ -31,7 +32,7 @@ pub(super) struct Layer {
 }
 
 impl Layers {
-    /// All layers in one table, each put on top of those below as [`merge`] does it.
+    /// All layers in one table, each put on top of those below by [`merge`].
     ///
     /// # Errors
     /// A layer changes an element of an array that is not there; blamed on the layer's file.
@@ -79,7 +80,7 @@ impl Layers {
         })
     }
 
-    /// The same error, blamed on the override or on the uppermost file that says anything about its element.
+    /// The same error, blamed on the override or on the uppermost file that sets its element.
     pub(super) fn locate(&self, error: ConfigError, overridden: &[String]) -> ConfigError {
         if overridden.iter().any(|path| is_within(&error.element, path)) {
             return error.in_file(OVERRIDE);
@@ -98,8 +99,8 @@ impl Layers {
 /// Name that stands for the file in errors about overrides.
 pub(super) const OVERRIDE: &str = "--set";
 
-/// Puts `above` on top of `below`: tables are merged; a table in the place of an array changes those of its elements that it
-/// names (see [`element_name`]); everything else is replaced.
+/// Puts `above` on top of `below`. Tables are merged. A table in the place of an array changes the
+/// elements that it names (see [`element_name`]). Everything else is replaced.
 ///
 /// # Errors
 /// A name that no element has.
@@ -138,7 +139,7 @@ fn element_name(item: &Value) -> Option<&str> {
     ["name", "term"].iter().find_map(|key| item.get(key)?.as_str())
 }
 
-/// The place of an element of an array: a number, or what [`element_name`] gives.
+/// The index of an element of an array, by its number or its [`element_name`].
 pub(super) fn element_index(items: &[Value], key: &str) -> Option<usize> {
     let index = key.parse().ok().or_else(|| items.iter().position(|item| element_name(item) == Some(key)));
     index.filter(|index| *index < items.len())
@@ -211,7 +212,7 @@ pub(super) fn string_list<'a>(document: &Document, table: &'a Table, key: &str) 
     strings.collect()
 }
 
-/// How many segments of `path` lead to something in `table`, a layer of `merged`.
+/// Number of leading segments of `path` that exist in `table`, a layer of `merged`.
 fn known_depth(table: &Table, merged: &Table, path: &str) -> usize {
     let (mut at, mut whole): (Option<&Value>, Option<&Value>) = (None, None);
     let mut depth = 0;

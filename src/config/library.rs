@@ -24,7 +24,7 @@ use crate::robot::CANONICAL_JOINT_NAMES;
 /// Environment variable with further roots, separated as in `PATH`.
 pub const PATH_VARIABLE: &str = "POLYPOD_PATH";
 
-/// How names of Isaac Lab's tasks begin.
+/// Prefix of the names of Isaac Lab's tasks.
 const ISAAC_LAB: &str = "Isaac-";
 
 static ROBOT_ASSETS: Dir<'_> = include_dir!("$CARGO_MANIFEST_DIR/assets/robots");
@@ -42,18 +42,18 @@ pub struct LoadedRobot {
     pub config: RobotConfig,
     /// The text of the URDF.
     pub urdf_text: String,
-    /// Where the URDF came from; for a built-in robot its path within the repository.
+    /// Path of the URDF; for a built-in robot its path within the repository.
     pub urdf_path: PathBuf,
     /// The files of its actuator networks, by group.
     pub networks: BTreeMap<String, NetworkFile>,
     /// The config with all layers and defaults spelled out.
     pub resolved: Table,
-    /// The files that say it.
+    /// The files of the config.
     pub(crate) layers: Layers,
 }
 
 impl LoadedRobot {
-    /// The same error, blamed on the file that says its element.
+    /// The same error, blamed on the file that sets its element.
     pub(crate) fn blame(&self, error: ConfigError) -> ConfigError {
         self.layers.locate(error, &[])
     }
@@ -62,9 +62,9 @@ impl LoadedRobot {
 /// A file of an actuator network.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct NetworkFile {
-    /// Where it came from; for a built-in one its path within the repository.
+    /// Path of the file; for a built-in one its path within the repository.
     pub path: PathBuf,
-    /// All of it.
+    /// Content of the file.
     pub bytes: Vec<u8>,
 }
 
@@ -92,16 +92,16 @@ pub struct LoadedTask {
 pub struct TrainFile {
     /// Its text.
     pub text: String,
-    /// Tells the file from all others, however its path is written.
+    /// Identity of the file, however its path is written.
     pub id: PathBuf,
-    /// Its folder, where relative paths begin; none for what is built in.
+    /// Its folder, where relative paths begin; None for a built-in file.
     pub folder: Option<PathBuf>,
 }
 
 impl Library {
-    /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`], then what is built
-    /// in. The first root wins. A root is laid out like this repository: `configs/robots`, `configs/tasks`,
-    /// `assets/robots`.
+    /// A library of the roots `extra`, then those of the environment variable [`PATH_VARIABLE`],
+    /// then the built-in configs. The first root wins. A root is laid out like this repository:
+    /// `configs/robots`, `configs/tasks`, `assets/robots`.
     #[must_use]
     pub fn new(extra: Vec<PathBuf>) -> Self {
         let from_env = std::env::var_os(PATH_VARIABLE).unwrap_or_default();
@@ -126,8 +126,8 @@ impl Library {
         self.robot_with(name_or_path, Some(task))
     }
 
-    /// Robots, by name or path, as a task has them: with the task's `[robot_overrides]` on top, by name or by a
-    /// path's stem.
+    /// Robots, by name or path, for a task: with the task's `[robot_overrides]` on top, by name or
+    /// by a path's stem.
     ///
     /// # Errors
     /// As [`Library::robot`]; overrides or shares of a robot that does not exist.
@@ -248,7 +248,8 @@ impl Library {
         Ok(play::play_name(&if is_toml(Path::new(name)) { name.to_owned() } else { full_name(&layers)? }))
     }
 
-    /// The task that a Play variant belongs to; the task itself where it is none, or where there is no such task.
+    /// The task that a Play variant belongs to; the task itself where it is no Play variant, or
+    /// where there is no such task.
     ///
     /// # Errors
     /// Unknown name, unreadable file.
@@ -378,7 +379,7 @@ impl Library {
     /// The layers of a task by one of its names.
     fn task_layers(&self, name: &str) -> Result<Layers, ConfigError> {
         if is_toml(Path::new(name)) && !Path::new(name).exists() {
-            // an error about the name that was given, not about the one that it leads to
+            // errors name the given name, not the one that it leads to
             let found = self.find(Kind::Task, name, None, &[]).and_then(|top| self.layers(Kind::Task, top));
             return found.or_else(|error| self.play_layers(name)?.ok_or(error));
         }
@@ -499,7 +500,7 @@ impl Library {
             document.text()?;
             return if is_free(&document) { Ok(document) } else { Err(cycle()) };
         }
-        // most names are those of files: a library of thousands is not read for one of them
+        // most names are file names: a large library need not be read for one of them
         let named = documents_named(kind, &self.roots, name)?;
         if let Some(document) = named.iter().find(|document| is_free(document)) {
             return Ok(document.clone());

@@ -23,7 +23,7 @@ pub struct RobotEntry {
     pub file: String,
     /// Whether all joints of its default pose are those of a quadruped's legs.
     pub is_quadruped: bool,
-    /// Why it cannot stand in its default pose without a policy, as its config says.
+    /// Reason of its config why it cannot stand in its default pose without a policy.
     pub needs_policy: Option<String>,
 }
 
@@ -86,8 +86,8 @@ pub(super) fn single_robot_name(task: &str, robot: &str, is_quadruped: bool) -> 
     Some(task.replace(family, &title))
 }
 
-/// The error about a name that nothing has; near ones are sought among `known` and `made`, which is too long to be listed.
-/// Files that are `broken` may have the name.
+/// The error about an unknown name. Near names are sought among `known` and `made`, which is too
+/// long to be listed. Files that are `broken` may have the name.
 pub(super) fn unknown_name(
     kind: Kind,
     name: &str,

@@ -11,7 +11,7 @@ use super::suggest::did_you_mean;
 /// the robots are read.
 const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 
-/// Tables that a task may be without: they are not among the keys of its resolved config then.
+/// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 2] = ["scene.terrain", "sensors.height_scanner"];
 
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
@@ -141,7 +141,7 @@ fn index_of(items: &[Value], key: &str, walked: &[String]) -> Result<usize, Conf
         if walked != ["robots"] {
             return error;
         }
-        // it is a list of names, and what a robot is lies elsewhere
+        // it is a list of names; the robots' own keys are elsewhere
         let remedy = format!("a robot's own config is changed by robot_overrides.{key}.<key>=<value>");
         ConfigError { remedy, ..error }
     })

@@ -1,4 +1,4 @@
-//! From a TOML table to a typed config, with serde's errors turned into ones that help.
+//! Parser from TOML tables to typed configs, with helpful errors in place of serde's.
 
 use serde::de::{DeserializeOwned, Deserializer, Error};
 use toml::{Table, Value};
@@ -46,7 +46,7 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
         let element = if path.is_empty() && element.is_empty() { "top level".to_owned() } else { join(path) };
         ConfigError::invalid(file, element, problem, remedy).of_kind(kind)
     })?;
-    // the bounds of a quantity, which its type knows, say more than those of all numbers
+    // the bounds of a quantity, which its type knows, come before those of all numbers
     let magnitude =
         |value: &Value| value.as_float().or_else(|| value.as_integer().map(|x| x as f64)).map_or(0.0, f64::abs);
     // seeds are bits
@@ -106,7 +106,7 @@ fn explain(message: &str, at: Option<&Value>) -> (ConfigErrorKind, String, Strin
     (kind, problem.to_owned(), remedy.to_owned())
 }
 
-/// serde's name of a type, as a writer of TOML would say it.
+/// Name of a serde type in the words of TOML.
 fn type_in_words(expected: &str) -> &str {
     match expected {
         "f32" | "f64" => "a number",
@@ -144,7 +144,8 @@ const SEED: &str = "seed";
 
 /// Path and value of the first number in `table` that is not `allowed` under its key.
 fn find_number(table: &Table, allowed: impl Fn(&str, &Value) -> bool) -> Option<(String, &Value)> {
-    // most numbers of a large config stand in lists, and a path is only written for the one that is found
+    // most numbers of a large config stand in lists, and a path is written only for the number that
+    // is found
     enum Place<'a> {
         Key(&'a str),
         Index(usize),

@@ -1,4 +1,4 @@
-//! Quantities of configs: which numbers of each a simulation can use, and in which unit.
+//! Quantities of configs: the range of numbers that a simulation can use, and the unit.
 //!
 //! Bounds are generous. Beyond them lies a mistake, or a number that single precision turns into an infinity or a zero.
 

@@ -26,8 +26,9 @@ pub(crate) fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a s
     }
 }
 
-/// Whether `key` looks like a slip of the finger for `known`. Stricter than [`nearest`], as it turns an otherwise legal
-/// key into an error: a single exchanged letter does not count, because `lin_vel_x` and `lin_vel_y` both exist.
+/// Whether `key` looks like a typing error for `known`. Stricter than [`nearest`], as it turns an
+/// otherwise legal key into an error: a single exchanged letter does not count, because `lin_vel_x`
+/// and `lin_vel_y` both exist.
 pub(super) fn is_slip(key: &str, known: &str) -> bool {
     let substituted = key.len() == known.len() && key.bytes().zip(known.bytes()).filter(|(a, b)| a != b).count() == 1;
     let allowed = if known.len() < 6 { 1 } else { 2 };

@@ -51,10 +51,11 @@ pub struct TerrainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Columns {
-    /// By an env's place among those of its robot: every robot meets every type of tile in equal shares.
+    /// By an env's index among those of its robot: every robot meets every type of tile in equal
+    /// shares.
     #[default]
     PerRobot,
-    /// By an env's number among all: neighbours share a column, so that a robot meets few types.
+    /// By an env's index among all: neighbours share a column, so that a robot meets few types.
     Contiguous,
 }
 
@@ -227,7 +228,7 @@ impl TerrainConfig {
 }
 
 impl SubTerrainShape {
-    /// About how many vertices a tile has, at most.
+    /// Largest number of vertices of a tile, about.
     fn num_vertices(&self, terrain: &TerrainConfig) -> f64 {
         // four corners of a rectangle; a frame is four of them, and so are walls
         const RECTANGLE: f64 = 4.0;
