@@ -1,4 +1,4 @@
-//! The engine's view of a model: which numbers of the articulation belong where.
+//! The engine's view of a model, with the places of its numbers in the articulation.
 
 use glam::{DMat3, DVec3};
 
@@ -144,10 +144,10 @@ pub fn symmetric(m: DMat3) -> [f64; 6] {
     [m.x_axis.x, m.y_axis.y, m.z_axis.z, m.y_axis.x, m.z_axis.x, m.z_axis.y]
 }
 
-/// How much a randomised body may be stretched: what is hidden must stay so.
+/// Largest stretch of a randomised body: a hidden candidate stays hidden.
 const STRETCH: f64 = 1.15;
 
-/// A contact candidate while it is being placed.
+/// A contact candidate before it is placed.
 struct Candidate {
     topology: ContactTopology,
     position: DVec3,
@@ -198,7 +198,7 @@ fn is_hidden(candidates: &[Candidate], spheres: &[usize], i: usize) -> bool {
     of_link.copied().any(|k| k != i && covers(k, &candidates[k]))
 }
 
-/// The places of a shape that can touch a plane first, in the frame of its link.
+/// The points of a shape that can touch a plane first, in the frame of its link.
 fn candidates(shape: &Shape, link: usize, body: usize) -> Vec<Candidate> {
     let at = |p: DVec3| shape.origin.transform_point(p);
     match &shape.geometry {

@@ -1,5 +1,5 @@
-//! Choice of the base's link. The frame of an empty root, such as a footprint on the ground, says nothing of the body
-//! that hangs on it.
+//! Choice of the base's link. The frame of an empty root, such as a footprint on the ground, says
+//! nothing about the body below it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -13,7 +13,7 @@ use super::pose::Pose;
 use super::roles::detect;
 use super::tree::Tree;
 
-/// A link with less than this share of the robot's mass is no body.
+/// Share of the robot's mass below which a link is no body.
 const LIGHT: f64 = 0.01;
 /// Largest share of the robot's mass that links fixed to an empty root next to the body may have.
 const BESIDE: f64 = 0.25;
@@ -21,7 +21,8 @@ const BESIDE: f64 = 0.25;
 const NEAR: f64 = 1e-6;
 /// Frames turned by less than this against each other have the same axes, rad.
 const SAME_AXES: f64 = 1e-3;
-/// By so much the joints' axes have to fit an empty root better than the body below it, as a mean cosine.
+/// Least advantage of an empty root over the body below it in how its axes fit the joints, as a
+/// mean cosine.
 const BETTER: f64 = 0.1;
 
 /// A link whose frame may be the base's.
@@ -44,7 +45,7 @@ pub(super) struct Bases {
     pub candidates: Vec<Base>,
     /// Frame of the root in that of the first candidate.
     root: Pose,
-    /// Whether the root is empty, and which of the links that hang on it is the body is open.
+    /// Whether the root is empty and several of its children may be the body.
     is_open: bool,
 }
 
@@ -109,8 +110,8 @@ impl Bases {
     }
 }
 
-/// How well a robot's frame suits its legs: mean cosine between the axes of their joints and those that their roles state; 0
-/// for a robot without legs.
+/// Fit of a robot's frame to its legs: mean cosine between the axes of their joints and those that
+/// their roles state; 0 for a robot without legs.
 pub(super) fn suits(model: &Model) -> f64 {
     let Ok(roles) = detect(model, &BTreeMap::new(), &BTreeMap::new()) else {
         return 0.0;
@@ -128,7 +129,7 @@ pub(super) fn is_better(first: &Model, second: &Model) -> bool {
 
 fn angle(pose: &Pose) -> f64 {
     let trace = pose.rotation.x_axis.x + pose.rotation.y_axis.y + pose.rotation.z_axis.z;
-    // more precise than the cosine alone for small angles
+    // for small angles more precise than the cosine alone
     let r = &pose.rotation;
     let sine = [r.y_axis.z - r.z_axis.y, r.z_axis.x - r.x_axis.z, r.x_axis.y - r.y_axis.x];
     sine.iter().map(|s| s * s).sum::<f64>().sqrt().atan2(trace - 1.0)
@@ -175,7 +176,8 @@ impl<'a> Below<'a> {
         (own == 0.0 || own < LIGHT * self.total) && !self.tree.joints_below[link].iter().any(is_free)
     }
 
-    /// Joints below a link whose children can be the body: what moves hangs there, or the mass if nothing moves.
+    /// Joints below a link whose children can be the body: those that carry moving joints, or mass
+    /// if nothing moves.
     fn bodies(&self, link: usize) -> Vec<usize> {
         let joints = &self.tree.joints_below[link];
         let child = |joint: &usize| self.tree.ends[*joint].1;
@@ -197,7 +199,7 @@ impl<'a> Below<'a> {
         (beside <= BESIDE * self.total && (self.moves[child] || !has_shapes)).then_some(joint)
     }
 
-    /// Whether several links that limbs hang on can be the body on an empty one that shows nothing.
+    /// Whether several links that carry limbs can be the body on an empty link without geometry.
     fn is_open(&self, link: usize) -> bool {
         let children = self.tree.joints_below[link].iter().map(|joint| self.tree.ends[*joint].1);
         self.robot.links[link].collision.is_empty() && children.filter(|child| self.moves[*child]).count() > 1

@@ -2,8 +2,8 @@
 //! canonical URDF of just these is written for the parser.
 //!
 //! The parser that follows fills gaps with zeros, skips tokens that are no numbers, forgets
-//! elements it does not know and stumbles over ones that are none of its business (materials,
-//! namespaces). On the canonical text it can do none of this.
+//! elements it does not know and fails at ones that it need not read (materials, namespaces). On
+//! the canonical text it can do none of this.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -18,7 +18,7 @@ use super::reader::{Reader, line};
 use super::xml;
 use crate::bounds::Shown;
 
-/// Children of `<robot>` that say nothing about the body and are passed over in silence.
+/// Children of `<robot>` that say nothing about the body and are skipped silently.
 const OTHER_ROOT_TAGS: [&str; 6] = ["material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"];
 const LINK_TAGS: [&str; 3] = ["inertial", "visual", "collision"];
 const JOINT_TAGS: [&str; 9] =
@@ -29,12 +29,12 @@ const SHAPES: [&str; 5] = ["sphere", "box", "cylinder", "capsule", "mesh"];
 /// Largest number of links in a file. Searches in a robot's tree take time that grows with their
 /// square.
 const MAX_LINKS: usize = 4096;
-/// Collision shapes of a file.
+/// Largest number of collision shapes in a file.
 const MAX_SHAPES: usize = 4096;
 /// Beginnings of unexpanded xacro, in any attribute.
 const MACROS: [&str; 3] = ["${", "$(", "xacro:"];
 const EXPAND: &str = "expand xacro first: `xacro robot.urdf.xacro > robot.urdf`";
-/// Characters of an attribute that an error shows.
+/// Number of characters of an attribute that an error shows.
 const SHOWN: usize = 80;
 
 /// Result of the first pass.
@@ -79,7 +79,7 @@ struct Writer<'a> {
     out: String,
     /// Collision shapes so far.
     shapes: usize,
-    /// Elements not read, by parent tag and tag: where first, how often.
+    /// Elements not read, by parent tag and tag: place of the first, and count.
     unread: BTreeMap<(&'static str, String), (String, usize)>,
     warnings: Vec<Warning>,
 }
@@ -89,7 +89,7 @@ impl Writer<'_> {
         let root = document.root_element();
         self.refuse_foreign_documents(document)?;
         self.quaternions = self.version(root) >= (1, 1);
-        // The parser gets 1.1 at most: what 1.2 adds is checked here, for every version.
+        // The parser gets 1.1 at most: additions of 1.2 are checked here, for every version.
         let version = if self.quaternions { "1.1" } else { "1.0" };
         let name = root.attribute("name").unwrap_or_default();
         self.open("robot", &[("name", name), ("version", version)], false);
@@ -321,7 +321,7 @@ impl Writer<'_> {
         };
         self.open("axis", &[("xyz", &numbers(&axis))], true);
 
-        // A limit that is left out is no limit, as in URDF 1.2; merging warns of it.
+        // A limit that is left out is no limit, as in URDF 1.2; merging warns about it.
         let mut limits = [
             ("lower", f64::NEG_INFINITY),
             ("upper", f64::INFINITY),

@@ -1,4 +1,4 @@
-//! Chains of joints from the base to its ends, and which of them can be legs.
+//! Chains of joints from the base to its ends, and the choice of legs among them.
 
 use std::f64::consts::PI;
 
@@ -11,7 +11,7 @@ use super::pose::Pose;
 /// Cosine above which an axis counts as lying along a base axis.
 pub(super) const ALIGNED: f64 = 0.7;
 
-/// A torso has at most this many joints in a row.
+/// Largest number of joints of a torso in a row.
 const TORSO_JOINTS: usize = 3;
 
 /// Share of the body's width that lies about its middle.
@@ -26,16 +26,16 @@ const GROUND: f64 = 0.3;
 /// A leg hangs stretched if it reaches this share of its length below its hip.
 const STRETCHED: f64 = 0.7;
 
-/// Positions of a joint that are tried.
+/// Number of positions of a joint that are tried.
 const ANGLES: u32 = 19;
 
 /// Hip abduction, hip flexion and knee joint of a leg; some have no abduction.
 pub(super) type LegJoints = [Option<usize>; 3];
 
-/// Joints from where a limb hangs to its end.
+/// Joints of a limb from the body to its end.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LimbChain {
-    /// At least one.
+    /// Joints of the chain, at least one.
     pub joints: Vec<usize>,
     /// Joints that hang on the limb outside its chain: fingers, toes.
     pub twigs: Vec<usize>,
@@ -49,7 +49,7 @@ pub(super) struct LimbChains {
     pub limbs: Vec<LimbChain>,
 }
 
-/// Where the robot's links are when all joints are 0, in the base frame.
+/// Pose of the robot's links with all joints at 0, in the base frame.
 pub(super) struct ZeroPose<'a> {
     pub model: &'a Model,
     pub links: Vec<Pose>,
@@ -104,7 +104,7 @@ impl<'a> ZeroPose<'a> {
         below
     }
 
-    /// The robot's limbs as they hang on the base and on its torso.
+    /// The robot's limbs on the base and on its torso.
     pub fn limb_chains(&self) -> LimbChains {
         let farthest = (0..self.model.joints.len()).map(|joint| self.position(joint).y.abs()).fold(0.0, f64::max);
         let mut found = LimbChains::default();
@@ -136,7 +136,7 @@ impl<'a> ZeroPose<'a> {
                 self.collect_limbs(end, width, found);
                 continue;
             }
-            // where a limb parts, the longest part goes on, and the others hang on it
+            // where a limb branches, the longest branch goes on, and the others hang on it
             let mut twigs = self.joints_below(end);
             let longest = twigs
                 .iter()
@@ -176,7 +176,7 @@ impl<'a> ZeroPose<'a> {
             return by_axes;
         }
         let stretches = |leg: &LegJoints| self.can_reach_down(leg);
-        // the last two are legs that are folded with all joints at zero
+        // the last two find legs that are folded with all joints at zero
         for found in [
             self.candidates(chains, by_two, hangs),
             self.candidates(chains, by_order, hangs),
@@ -202,7 +202,7 @@ impl<'a> ZeroPose<'a> {
             let Some(leg) = pick(&turning) else {
                 continue;
             };
-            // Chains that part below the knee are one leg.
+            // Chains that branch below the knee are one leg.
             if is_leg(&leg) && !legs.contains(&leg) {
                 legs.push(leg);
             }

@@ -12,15 +12,16 @@ use super::roles::detect;
 use super::symmetry::unequal_sides;
 use super::urdf::{Coupled, LoadOptions, load};
 
-/// Reads the URDF file at `path` and describes what it is read as: links, joints, contact bodies, which limbs it
-/// has, and every warning. A robot without legs is none the worse for it. Joints that mimic others are held, with a warning.
+/// Reads the URDF file at `path` and describes the result: links, joints, contact bodies, limbs,
+/// and every warning. A robot without legs is no error. Joints that mimic others are held, with a
+/// warning.
 ///
 /// # Errors
 /// Any error of [`load`].
 pub fn check(path: &Path, options: &LoadOptions) -> Result<String, RobotError> {
     let model = load(path, &LoadOptions { coupled: Coupled::Held, ..options.clone() })?;
     let mut out = String::new();
-    // A string takes all that is written to it.
+    // Writing to a string never fails.
     let _ = describe(&model, &mut out);
     Ok(out)
 }
@@ -137,7 +138,7 @@ fn limbs(model: &Model, roles: &Roles, out: &mut String) -> fmt::Result {
     Ok(())
 }
 
-/// Characters of the longest name.
+/// Length of the longest name.
 fn widest<'a>(names: impl Iterator<Item = &'a String>) -> usize {
     names.map(|name| name.chars().count()).max().unwrap_or(0).min(40)
 }

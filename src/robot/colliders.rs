@@ -10,13 +10,14 @@ use super::model::{Geometry, Model, Shape};
 use crate::dynamics::math::Spatial;
 use crate::dynamics::{ColliderTopology, Parameters, Scalar, Topology, Workspace};
 
-/// Joint positions that are tried in the search for pairs that can meet at all.
+/// Number of joint positions that are tried in the search for pairs that can meet at all.
 const SAMPLES: usize = 2048;
-/// Pairs that no sample brings nearer than this are not looked at, m.
+/// Distance above which a pair is left out if no sample brings it nearer, m.
 const NEVER_NEAR: f64 = 0.05;
-/// Pairs that are nearer than this in the reference pose are not looked at: their shapes overlap by design, m.
+/// Distance below which a pair in the reference pose is left out, m: their shapes overlap by
+/// design.
 const TOUCHES_BY_DESIGN: f64 = 0.005;
-/// Where a joint has no limit, it is tried up to this far, rad or m.
+/// Range in which a joint without a limit is tried, rad or m.
 const UNLIMITED_RANGE: f64 = PI;
 
 /// One collider while it is being placed, in link axes of the engine.
@@ -39,7 +40,8 @@ pub(super) fn add_pairs(
     parameters: &mut Parameters<f64>,
 ) -> Vec<[usize; 2]> {
     let mut colliders: Vec<Collider> = Vec::new();
-    // each shape as it is, and as a capsule: a box is a box to smaller shapes and a capsule to larger boxes
+    // each shape as it is, and as a capsule: a box counts as a box against smaller shapes, as a
+    // capsule against larger boxes
     let mut parts = Vec::new();
     for (body, b) in model.bodies.iter().enumerate() {
         for shape in &b.shapes {
@@ -73,7 +75,7 @@ pub(super) fn add_pairs(
     let mut pairs: Vec<_> = pairs.into_iter().zip(kept).filter_map(|(pair, keep)| keep.then_some(pair)).collect();
     // put pairs of the same two links next to each other
     pairs.sort_by_key(|(pair, _)| pair.map(|c| colliders[c].topology.link));
-    // only colliders of some pair stay
+    // keep only colliders that are in some pair
     let mut used: Vec<usize> = pairs.iter().flat_map(|(pair, _)| *pair).collect();
     used.sort_unstable();
     used.dedup();

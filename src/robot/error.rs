@@ -22,7 +22,7 @@ pub struct Diagnosis {
     pub topic: Topic,
 }
 
-/// Topic of an error, as far as callers treat it in a special way.
+/// Topic of an error, where callers handle it separately.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Topic {
     /// Anything else.
@@ -30,7 +30,7 @@ pub enum Topic {
     Other,
     /// A mesh is taken as a convex hull.
     Hull {
-        /// How far the mesh reaches beyond the hull, um.
+        /// Distance by which the mesh reaches beyond the hull, um.
         outside: u64,
     },
     /// A collision mesh is left out.
@@ -59,7 +59,7 @@ impl Diagnosis {
         Self { topic, ..self }
     }
 
-    /// All but the file: `{element}: {problem}; {remedy}`.
+    /// The diagnosis without the file: `{element}: {problem}; {remedy}`.
     pub fn finding(&self) -> String {
         format!("{}: {}; {}", self.element, self.problem, self.remedy)
     }
@@ -71,10 +71,10 @@ impl fmt::Display for Diagnosis {
     }
 }
 
-/// Something in the description that was read with an assumption the reader should know of.
+/// Assumption about the description that its author should know of.
 pub type Warning = Diagnosis;
 
-/// Why a URDF did not become a [`Model`](super::Model), or a model no quadruped.
+/// Reason why a URDF did not become a [`Model`](super::Model), or a model no quadruped.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum RobotError {
     /// The file cannot be read.
@@ -123,8 +123,8 @@ impl RobotError {
     }
 }
 
-/// The warnings with one in the place of all meshes that are taken as hulls, and one in that of all that are left out:
-/// [`check`](super::check) lists them.
+/// The warnings with one in place of all meshes that are taken as hulls, and one in place of all
+/// that are left out: [`check`](super::check) lists them.
 pub fn summed_up(warnings: &[Warning]) -> Vec<Warning> {
     let is_missing = |warning: &Warning| warning.topic == Topic::MissingMesh;
     let outside = |warning: &Warning| match warning.topic {
@@ -165,7 +165,7 @@ pub(super) const LOCK: &str = "lock the joint in locked_joints (--lock JOINT=POS
 
 /// Longest name that is compared with others, bytes: the comparison takes time that grows with its square.
 const COMPARED: usize = 256;
-/// Names that an error lists.
+/// Number of names that an error lists.
 const LISTED: usize = 24;
 
 /// `did you mean "x"`, or the known names when none is close.
@@ -185,7 +185,7 @@ pub(super) fn nearest_name<'a>(wanted: &str, known: impl IntoIterator<Item = &'a
     }
 }
 
-/// The first names, and how many more there are.
+/// The first names, and the number of the others.
 pub(super) fn listed<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     let mut names = names.into_iter();
     let mut shown: Vec<String> = names.by_ref().take(LISTED).map(str::to_owned).collect();

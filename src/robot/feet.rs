@@ -1,4 +1,4 @@
-//! Where a leg touches the ground.
+//! Contact of a leg with the ground.
 
 use glam::DVec3;
 
@@ -67,8 +67,8 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
     Some(sphere.filter(|foot| foot.reach >= SPHERE_REACH * any.reach).unwrap_or(any))
 }
 
-/// The foot of a leg that ends in a sole: the middle of what is lowest of the body, at zero joint positions. A single ball
-/// is taken as it is.
+/// The foot of a leg that ends in a sole: the middle of the body's lowest part, at zero joint
+/// positions. A single ball is taken as it is.
 pub(super) fn sole(pose: &ZeroPose<'_>, body: usize) -> Option<(DVec3, f64)> {
     let body = &pose.model.bodies[body];
     let link = &pose.links[body.link];
@@ -87,7 +87,7 @@ pub(super) fn sole(pose: &ZeroPose<'_>, body: usize) -> Option<(DVec3, f64)> {
     }
 }
 
-/// Lowest z of what hangs on `joint`, shapes and joints, at zero joint positions in the base frame, m.
+/// Lowest z of shapes and joints below `joint`, at zero joint positions in the base frame, m.
 pub(super) fn lowest_below(pose: &ZeroPose<'_>, joint: usize) -> f64 {
     let hangs = |link: usize| pose.is_below(link, joint);
     let joints = (0..pose.model.joints.len()).filter(|other| hangs(other + 1)).map(|other| pose.position(other).z);
@@ -103,9 +103,9 @@ pub(super) fn lowest_below(pose: &ZeroPose<'_>, joint: usize) -> f64 {
     joints.chain(shapes).fold(f64::INFINITY, f64::min)
 }
 
-/// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in
-/// the direction `down` (link frame): a sphere is one, a capsule has one at each end, and of other
-/// convex shapes it is the middle of what lies lowest.
+/// Centres (link frame) and radii of the balls with which a shape can touch ground that lies in the
+/// direction `down` (link frame). A sphere is one ball, a capsule has one at each end, and for
+/// other convex shapes it is the middle of the lowest part.
 fn contact_balls(shape: &Shape, down: DVec3) -> Vec<(DVec3, f64)> {
     let down = shape.origin.rotation.transpose() * down;
     // A direction along a face or edge leaves its middle.

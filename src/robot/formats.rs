@@ -1,6 +1,6 @@
-//! Files that are no URDF: what they are, and what to do with them.
+//! Files that are no URDF: their formats, and remedies.
 
-/// Name of a format and what to do with a file in it; `None` where the bytes tell nothing.
+/// Name of a format and the remedy for a file in it; `None` where the bytes tell nothing.
 pub(super) fn recognised(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
     const EXPORT_USD: &str = "export the robot as URDF: Isaac Sim and USD tools can write one";
     const NAME_URDF: &str = "name the robot's URDF file";

@@ -1,4 +1,4 @@
-//! Convex hulls of few points, for meshes of many.
+//! Convex hulls with few points, for meshes with many.
 
 use std::collections::{HashMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -7,7 +7,7 @@ use glam::{DVec3, Vec3};
 use parry3d::query::PointQuery;
 use parry3d::shape::Triangle;
 
-/// A hull has at most this many points: the simulator tests each of them against the ground.
+/// Largest number of points of a hull: the simulator tests each of them against the ground.
 pub(super) const MAX_POINTS: usize = 32;
 /// Largest number of points that are all kept. A larger set keeps the extreme points along
 /// [`DIRECTIONS`] directions and a few others: this bounds the work, and the recursion of the hull
@@ -23,9 +23,9 @@ const TOLERANCE: f64 = 1e-6;
 pub(super) struct Hull {
     /// Points that are all vertices of the mesh, at most [`MAX_POINTS`]; or the corners of its bounding box.
     pub points: Vec<DVec3>,
-    /// How far the mesh reaches beyond the hull of `points`, m.
+    /// Distance by which the mesh reaches beyond the hull of `points`, m.
     pub deviation: f64,
-    /// Whether the hull could not be told and the bounding box stands for it.
+    /// Whether the hull could not be computed and the bounding box stands for it.
     pub boxed: bool,
 }
 
@@ -37,7 +37,7 @@ pub(super) fn hull(vertices: &[DVec3]) -> Hull {
     let extreme = if all.len() > MANY { frame.extreme(&all, directions) } else { all.clone() };
     reduced(&frame, &all, &extreme).unwrap_or_else(|| {
         if extreme.len() <= MAX_POINTS {
-            // with all of them nothing is left out, whatever their hull is
+            // with all points nothing is left out, whatever their hull is
             Hull { points: extreme, deviation: 0.0, boxed: false }
         } else {
             frame.bounding_box()
@@ -45,7 +45,8 @@ pub(super) fn hull(vertices: &[DVec3]) -> Hull {
     })
 }
 
-/// Outward triangles of the hull of points, as indices into them; none where they cannot be told.
+/// Outward triangles of the hull of points, as indices into them; empty where it cannot be
+/// computed.
 pub(crate) fn triangles(points: &[DVec3]) -> Vec<[usize; 3]> {
     let facets = Frame::new(points).facets(points);
     let index = |corner: DVec3| points.iter().position(|point| *point == corner);
@@ -53,7 +54,8 @@ pub(crate) fn triangles(points: &[DVec3]) -> Vec<[usize; 3]> {
     facets.map_or_else(Vec::new, |facets| facets.triangles.into_iter().filter_map(corners).collect())
 }
 
-/// Corners of the hull of `extreme`, chosen so that they leave out little; `None` where the hull cannot be told.
+/// Corners of the hull of `extreme`, chosen so that they leave out little; `None` where the hull
+/// cannot be computed.
 fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
     let tolerance = TOLERANCE * frame.size.length();
     let corners = frame.facets(extreme)?.points;
@@ -99,8 +101,8 @@ impl Frame {
         points.iter().copied().filter(|point| seen.insert(key(self.stretched(*point)))).collect()
     }
 
-    /// The points that reach farthest along each direction, without repetitions; of points that reach equally far the
-    /// last.
+    /// The points that reach farthest along each direction, without repetitions; the last one among
+    /// equals.
     fn extreme(&self, points: &[DVec3], directions: impl Iterator<Item = DVec3>) -> Vec<DVec3> {
         let stretched: Vec<DVec3> = points.iter().map(|point| self.stretched(*point).as_dvec3()).collect();
         let cells = Cells::new(&stretched);
@@ -110,10 +112,10 @@ impl Frame {
         chosen.into_iter().map(|index| points[index]).collect()
     }
 
-    /// The faces of the hull; `None` where they cannot be told.
+    /// The faces of the hull; `None` where they cannot be computed.
     fn facets(&self, points: &[DVec3]) -> Option<Facets> {
         let stretched: Vec<Vec3> = points.iter().map(|point| self.stretched(*point)).collect();
-        // It asserts its way through degenerate input.
+        // The library panics on degenerate input.
         let hull = catch_unwind(AssertUnwindSafe(|| parry3d::transformation::try_convex_hull(&stretched)));
         let (corners, triangles) = hull.ok()?.ok()?;
         let by_key: HashMap<_, _> = stretched.iter().zip(points).map(|(s, p)| (key(*s), *p)).collect();
@@ -181,7 +183,7 @@ impl Cells {
         Self { boxes, order }
     }
 
-    /// Index of the point that reaches farthest along a direction; of several the last.
+    /// Index of the point that reaches farthest along a direction; the last one among equals.
     fn farthest(&self, points: &[DVec3], direction: DVec3) -> Option<usize> {
         let bounds: Vec<f64> =
             self.boxes.iter().map(|(low, high, _)| (direction * *low).max(direction * *high).element_sum()).collect();
@@ -231,7 +233,7 @@ impl Facets {
         }
     }
 
-    /// The last of the points that lie farthest outside, and how far, m.
+    /// The last of the points that lie farthest outside, and their distance, m.
     fn farthest(&self, points: &[DVec3]) -> Option<(f64, DVec3)> {
         let mut best: Option<(f64, DVec3)> = None;
         for &point in points {
@@ -243,10 +245,10 @@ impl Facets {
         best
     }
 
-    /// How far `point` lies outside, m; `None` where that is less than `least`.
+    /// Distance of `point` outside the hull, m; `None` where that is less than `least`.
     fn distance(&self, point: DVec3, least: f64) -> Option<f64> {
         let heights = self.triangles.iter().zip(&self.normals).map(|([a, ..], normal)| normal.dot(point - *a));
-        // deep inside a hull, not on a flat one
+        // deep inside a hull that is not flat
         if heights.clone().all(|height| height < -self.tolerance) {
             return (least == 0.0).then_some(0.0);
         }
@@ -270,7 +272,7 @@ fn key(point: Vec3) -> [u32; 3] {
     (point + 0.0).to_array().map(f32::to_bits)
 }
 
-/// Along the axes and the diagonals of a cube.
+/// Directions along the axes and the diagonals of a cube.
 fn lattice_directions() -> impl Iterator<Item = DVec3> {
     let axes = [DVec3::X, DVec3::Y, DVec3::Z].into_iter().flat_map(|axis| [axis, -axis]);
     let diagonals = (0..8u32).map(|corner| {
@@ -280,7 +282,7 @@ fn lattice_directions() -> impl Iterator<Item = DVec3> {
     axes.chain(diagonals)
 }
 
-/// Evenly spread over the sphere, along the golden spiral.
+/// Directions spread evenly over the sphere, along the golden spiral.
 fn fibonacci_directions() -> impl Iterator<Item = DVec3> {
     let golden_angle = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     (0..DIRECTIONS).map(move |i| {

@@ -1,4 +1,4 @@
-//! Hulls of meshes that this process has computed already: a robot is read several times on its way into a simulation.
+//! Cache of mesh hulls in this process: a robot is read several times on its way into a simulation.
 
 use std::collections::HashMap;
 use std::hash::{BuildHasher, RandomState};
@@ -9,7 +9,8 @@ use glam::DVec3;
 use super::hull;
 use super::mesh;
 
-/// Hulls that are kept. One has at most [`hull::MAX_POINTS`] points, so that all together take a few MB.
+/// Largest number of hulls that are kept. A hull has at most [`hull::MAX_POINTS`] points, so that
+/// all together take a few MB.
 const MOST: usize = 4096;
 
 /// Hull that stands for a mesh.
@@ -25,8 +26,8 @@ pub(super) struct Taken {
     pub assumed: Option<String>,
 }
 
-/// A mesh by its contents. The keys of the hashes are drawn when the process starts, so that nobody can make two files of one
-/// name.
+/// A mesh by its contents. The keys of the hashes are drawn when the process starts, so that nobody
+/// can make two files with one hash.
 type Key = ([u64; 2], String, [u64; 3]);
 
 #[derive(Default)]
@@ -37,13 +38,13 @@ struct Cache {
 
 static CACHE: LazyLock<Mutex<Cache>> = LazyLock::new(Mutex::default);
 
-/// The hull of the mesh file with these bytes; `ending` says what it is, and nothing in it reaches farther than `most` m from
-/// its origin.
+/// The hull of the mesh file with these bytes. `ending` is the file's format, and nothing in the
+/// mesh reaches farther than `most` m from its origin.
 ///
 /// # Errors
 /// Reason why the mesh cannot be read, as a clause.
 pub(super) fn hull_of(bytes: Vec<u8>, ending: &str, scale: DVec3, most: f64) -> Result<Taken, String> {
-    // a cache whose holder panicked is still whole
+    // the cache is intact even if a holder of the lock panicked
     let lock = || CACHE.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let key: Key = {
         let hashers = lock().hashers.clone();

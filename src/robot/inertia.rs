@@ -22,7 +22,7 @@ pub(super) struct MassProperties {
 impl MassProperties {
     pub const ZERO: Self = Self { mass: 0.0, com: DVec3::ZERO, inertia: DMat3::ZERO };
 
-    /// The same body seen from the frame in which `pose` places the present one.
+    /// The same body in the frame in which `pose` places the present one.
     pub fn transformed(&self, pose: &Pose) -> Self {
         let turned = pose.rotation * self.inertia * pose.rotation.transpose();
         Self {
@@ -60,7 +60,8 @@ impl MassProperties {
     }
 }
 
-/// Why an inertia tensor is not one; with the principal moments in ascending order, kg m^2.
+/// Reason why an inertia tensor is impossible; with the principal moments in ascending order, kg
+/// m^2.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum InertiaFault {
     NotPositiveDefinite([f64; 3]),

@@ -1,4 +1,4 @@
-//! Roles of the joints of a limb, told from their axes with all joints at zero.
+//! Roles of the joints of a limb, by their axes with all joints at zero.
 
 use glam::{DQuat, DVec3};
 
@@ -101,7 +101,8 @@ impl ZeroPose<'_> {
         others.collect()
     }
 
-    /// Where the wheel of a leg is in its chain: the last joint, if only that one turns without limits and about y.
+    /// Index of a leg's wheel in its chain: the last joint, if it alone turns without limits and
+    /// about y.
     fn wheel(&self, chain: &[usize]) -> Option<usize> {
         let is_continuous = |joint: &usize| self.model.joints[*joint].kind == JointKind::Continuous;
         let (last, others) = chain.split_last()?;

@@ -4,7 +4,7 @@ use std::fmt;
 
 use glam::DVec3;
 
-/// Where a limb is on the body. The order is that of legs within a role.
+/// Place of a limb on the body. The order is that of legs within a role.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Place {
     /// Left front leg.
@@ -33,7 +33,7 @@ pub enum Place {
     Tail,
 }
 
-/// On which side of the body something is.
+/// Side of the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Side {
     /// Positive y of the base.
@@ -61,7 +61,7 @@ impl Place {
         Self::Tail,
     ];
 
-    /// The name that slots begin with.
+    /// The prefix of slots at this place.
     pub const fn name(self) -> &'static str {
         match self {
             Self::LeftFront => "LF",
@@ -79,12 +79,12 @@ impl Place {
         }
     }
 
-    /// The place with this name.
+    /// The place of this name.
     pub fn parse(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|place| place.name() == name)
     }
 
-    /// On which side of the body it is.
+    /// Side of the body.
     pub const fn side(self) -> Side {
         match self {
             Self::LeftFront | Self::LeftMiddle | Self::LeftHind | Self::Left => Side::Left,
@@ -93,7 +93,7 @@ impl Place {
         }
     }
 
-    /// The place that it takes in a mirror between left and right.
+    /// The place in a mirror between left and right.
     #[must_use]
     pub const fn mirrored(self) -> Self {
         match self {
@@ -144,7 +144,7 @@ pub enum Role {
     AnkleYaw,
     /// A wheel at the end of a leg, about y.
     Wheel,
-    /// Whatever parts from a leg: toes, springs.
+    /// Joints that branch off a leg: toes, springs.
     Toe,
     /// Torso, head, tail or an arm in the middle: about z.
     Yaw,
@@ -166,7 +166,7 @@ pub enum Role {
     WristPitch,
     /// Wrist about z.
     WristYaw,
-    /// Whatever parts from an arm.
+    /// Joints that branch off an arm.
     Finger,
     /// A joint that slides.
     Slide,
@@ -203,7 +203,7 @@ impl Role {
         Self::Slide,
     ];
 
-    /// The name that slots end with.
+    /// The suffix of slots of this role.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Haa => "HAA",
@@ -235,7 +235,7 @@ impl Role {
         }
     }
 
-    /// Whether limbs at `place` may have it, as legs or as arms.
+    /// Whether limbs at `place` may have the role, as legs or as arms.
     const fn is_at(self, place: Place) -> bool {
         let is_of_leg = matches!(
             self,
@@ -265,12 +265,12 @@ impl Role {
         }
     }
 
-    /// Whether it spreads a leg sideways.
+    /// Whether the joint spreads a leg sideways.
     pub const fn is_abduction(self) -> bool {
         matches!(self, Self::Haa | Self::HipRoll)
     }
 
-    /// Whether it bends a leg.
+    /// Whether the joint bends a leg.
     pub const fn is_flexion(self) -> bool {
         matches!(
             self,
@@ -278,7 +278,7 @@ impl Role {
         )
     }
 
-    /// Whether it is the joint between thigh and shank.
+    /// Whether the joint is between thigh and shank.
     pub const fn is_knee(self) -> bool {
         matches!(self, Self::Kfe | Self::Knee)
     }
@@ -291,7 +291,7 @@ pub struct Slot {
     pub role: Role,
     /// Number of the joint among the limb's joints of this role, counted from the base, from 0.
     pub nth: u8,
-    /// Where the limb is.
+    /// Place of the limb.
     pub place: Place,
 }
 
@@ -301,7 +301,7 @@ impl Slot {
         Self { role, nth: 0, place }
     }
 
-    /// The slot with this name, such as `LF_HAA`, `L_HIP_YAW`, `TORSO_YAW` or `ARM_ROLL_2`.
+    /// The slot of this name, such as `LF_HAA`, `L_HIP_YAW`, `TORSO_YAW` or `ARM_ROLL_2`.
     pub fn parse(name: &str) -> Option<Self> {
         let (place, rest) = name.split_once('_')?;
         let place = Place::parse(place)?;
@@ -317,7 +317,7 @@ impl Slot {
         role.is_at(place).then_some(Self { role, nth, place })
     }
 
-    /// The slot that it becomes in a mirror between left and right.
+    /// The slot in a mirror between left and right.
     #[must_use]
     pub const fn mirrored(self) -> Self {
         Self { place: self.place.mirrored(), ..self }
@@ -337,15 +337,15 @@ impl fmt::Display for Slot {
 /// Purpose of a limb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LimbKind {
-    /// Stands on the ground.
+    /// Leg, which stands on the ground.
     Leg,
-    /// Reaches for things.
+    /// Arm, with a hand for things.
     Arm,
-    /// Carries other limbs.
+    /// Torso, which carries other limbs.
     Torso,
-    /// Looks.
+    /// Head.
     Head,
-    /// None of these.
+    /// Any other limb.
     Tail,
 }
 
@@ -372,14 +372,14 @@ pub struct Foot {
     pub radius: f64,
 }
 
-/// A chain of joints with what it is for.
+/// A chain of joints with its place and purpose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limb {
-    /// Where it is.
+    /// Place of the limb.
     pub place: Place,
     /// Purpose of the limb.
     pub kind: LimbKind,
-    /// From the base to its end.
+    /// Joints from the base to the end.
     pub joints: Vec<LimbJoint>,
     /// Foot of a leg.
     pub foot: Option<Foot>,
@@ -392,7 +392,7 @@ impl Limb {
     }
 }
 
-/// How a robot's joints and bodies map to limbs, slots and feet.
+/// Map of a robot's joints and bodies to limbs, slots and feet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Roles {
     /// Legs in the order of [`Place`], then all other limbs.

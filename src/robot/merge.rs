@@ -1,4 +1,4 @@
-//! Fixed and locked joints disappear: what they carry becomes part of the link that moves it.
+//! Merging of links on fixed and locked joints into the link that moves them.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap};
@@ -31,10 +31,11 @@ const SMALLEST_MOMENT: f64 = 1e-18;
 /// Position limits beyond this, rad or m, are written for "none": 159 turns.
 const FARTHEST: f64 = MAX_EXTENT;
 
-/// Joints that mimic one another in a row.
+/// Largest number of joints that mimic one another in a row.
 const MAX_COUPLED: usize = 64;
 
-/// Makes the model of a robot whose joints form `tree`, and says where joints are held because they mimic others (rad or m).
+/// Makes the model of a robot whose joints form `tree`; returns it with the positions of held
+/// joints, which mimic others (rad or m).
 ///
 /// # Errors
 /// [`RobotError::Options`] for joints that cannot be locked, [`RobotError::Unsupported`] for kinds
@@ -157,7 +158,8 @@ impl Merger<'_> {
         coupled
     }
 
-    /// Where a joint is that mimics others, while the first of these is held or at rest, rad or m.
+    /// Position of a joint that mimics others, while the first of these is held or at rest, rad or
+    /// m.
     fn coupled_position(&self, joint: usize, named: &HashMap<&str, usize>) -> f64 {
         // q = scale * (position of `leader`) + shift
         let (mut leader, mut scale, mut shift) = (joint, 1.0, 0.0);
@@ -174,7 +176,7 @@ impl Merger<'_> {
         }
         let at_rest = self.held[leader].unwrap_or_else(|| within_limits(&self.robot.joints[leader], 0.0));
         let position = within_limits(&self.robot.joints[joint], scale * at_rest + shift);
-        // without a negative zero
+        // a negative zero becomes zero
         if position.is_finite() { position + 0.0 } else { 0.0 }
     }
 
@@ -232,7 +234,8 @@ impl Merger<'_> {
         }
     }
 
-    /// Starts a merged link with the frame of `base`, collects all that is fixed to it, and the moving joints on it.
+    /// Starts a merged link with the frame of `base`, collects all links that are fixed to it, and
+    /// the moving joints on it.
     fn place_with_attached(&mut self, base: &Base, motions: &[Motion], ready: &mut BinaryHeap<Reverse<usize>>) {
         let merged = self.parts.len();
         let mut parts = Vec::new();
@@ -331,7 +334,7 @@ impl Merger<'_> {
             let diagnosis = Diagnosis::new(self.file, element.clone(), problem, remedy);
             Err(RobotError::Value(diagnosis))
         };
-        // as the file has them
+        // the limits of the file
         let (least, most) = (joint.limit.lower, joint.limit.upper);
         if lower > upper {
             return value_error(format!("its lower limit {least} is above its upper limit {most}"), "swap them");
@@ -422,7 +425,8 @@ impl Merger<'_> {
         Ok(links)
     }
 
-    /// A part of a link only needs a sound inertia together with the rest, so this is no error.
+    /// Warns of an unsound inertia of a part. It is no error: only the inertia of the whole link
+    /// matters.
     fn warn_of_inertia(&mut self, link: usize, own: &MassProperties) {
         if own.inertia == DMat3::ZERO {
             return;

@@ -12,11 +12,13 @@ use roxmltree::{Document, Node, NodeId};
 use super::xml;
 use crate::files;
 
-/// Larger files are no collision meshes, bytes.
+/// Largest mesh file, bytes; larger files are no collision meshes.
 const MAX_BYTES: u64 = 256 << 20;
-/// Vertices of a mesh, instances included. A file of [`MAX_BYTES`] would hold more, and a scene of instances any number.
+/// Largest number of vertices of a mesh, instances included. A file of [`MAX_BYTES`] would hold
+/// more, and a scene of instances any number.
 const MAX_POINTS: usize = 4 << 20;
-/// Elements of a COLLADA scene, instances of instances included; only a scene that contains itself has more.
+/// Largest number of elements of a COLLADA scene, instances of instances included; only a scene
+/// that contains itself has more.
 const MAX_ELEMENTS: usize = 1 << 20;
 /// Header and triangle count of a binary STL, and each of its triangles, bytes.
 const STL_HEADER: usize = 84;
@@ -35,12 +37,12 @@ impl From<Vec<DVec3>> for Vertices {
     }
 }
 
-/// Reads the vertices of a mesh file with these bytes; `ending` says what it is.
+/// Reads the vertices of a mesh file with these bytes; `ending` is its format.
 ///
 /// # Errors
 /// Reason why the mesh cannot be read, as a clause.
 pub(super) fn read(bytes: Vec<u8>, ending: &str) -> Result<Vertices, String> {
-    // The readers are other people's: none of them may take the simulator down.
+    // The readers are other projects' code: their panics must not end the simulator.
     let vertices = catch_unwind(AssertUnwindSafe(|| match ending {
         "stl" => stl(bytes).map(Vertices::from),
         "obj" => obj(&bytes).map(Vertices::from),
@@ -64,7 +66,7 @@ pub(crate) struct Surface {
     pub(crate) triangles: Vec<[u32; 3]>,
 }
 
-/// Reads the surface in the file at `path`, whose ending says what it is.
+/// Reads the surface in the file at `path`, whose ending is its format.
 ///
 /// # Errors
 /// Reason why the mesh cannot be read, as a clause.
@@ -125,7 +127,7 @@ fn stl(mut bytes: Vec<u8>) -> Result<Vec<DVec3>, String> {
     let mut points = Vec::new();
     let mut solid = String::new();
     for line in text.lines() {
-        // The reader wants a space there, also without a name, and reads one solid.
+        // The reader wants a space there, also without a name, and reads one solid only.
         let line = line.trim();
         solid.push_str(if line == "solid" { "solid " } else { line });
         solid.push('\n');
@@ -146,7 +148,7 @@ fn stl_triangles(bytes: &[u8]) -> Result<Vec<DVec3>, String> {
     Ok(points)
 }
 
-/// Refuses a mesh of this many vertices if it has too many.
+/// Refuses a mesh with too many vertices.
 fn check_count(points: usize) -> Result<(), String> {
     if points <= MAX_POINTS {
         return Ok(());
@@ -276,7 +278,7 @@ impl<'a, 'd> Scene<'a, 'd> {
                     "instance_node" => stack.push((self.target(element)?, pose)),
                     "instance_geometry" | "instance_controller" => {
                         let local = self.positions(self.target(element)?)?;
-                        // before memory is taken for them
+                        // checked before memory is taken for them
                         check_count(points.len() + local.len())?;
                         points.extend(local.iter().map(|point| pose.transform_point3(*point)));
                     }

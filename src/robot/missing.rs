@@ -1,4 +1,4 @@
-//! Omissions and holds of a reading, as the cause of other errors.
+//! Omitted meshes and held joints as the cause of other errors.
 
 use super::error::{Diagnosis, RobotError, Topic};
 use super::model::Model;

@@ -1,4 +1,4 @@
-//! Numbers that no legged robot has in SI units, and the unit that they look like.
+//! Numbers that no legged robot has in SI units, and the unit that they seem to have.
 
 use std::collections::HashMap;
 use std::f64::consts::{PI, TAU};
@@ -20,13 +20,15 @@ const LONG: f64 = 1.0;
 const TIMES_USUAL: f64 = 20.0;
 /// A mesh smaller than this is a mesh in m with a scale for mm, m.
 const SMALLEST_MESH: f64 = 5e-4;
-/// Most turns of a joint with limits, rad: the widest of known robots turn by 10 rad to each side.
+/// Largest turn of a joint with limits, rad: the widest of known robots turn by 10 rad to each
+/// side.
 const MOST_TURN: f64 = 4.0 * PI * 1.001;
 /// Limits beyond this are placeholders, not degrees.
 const MOST_DEGREES: f64 = 1080.0;
 /// Density that no robot has, kg/m^3, as its mass over the box about it: known ones have 20 to 400, steel 7800.
 const DENSEST: f64 = 15_000.0;
-/// Links lighter than this are not looked at, kg: the shapes of sensors are often tokens.
+/// Mass of a link below which its inertia is not checked, kg: the shapes of sensors are often
+/// tokens.
 const LEAST_MASS: f64 = 1.0;
 /// No side of the box is taken as shorter than this share of its diagonal.
 const SLIMMEST: f64 = 0.5;
@@ -68,7 +70,8 @@ struct Found<'a> {
 }
 
 impl Found<'_> {
-    /// `elements` are those at fault with what is wrong with each; `unit` is what they look like.
+    /// `elements` are those at fault, each with its problem; `unit` is the unit that they seem to
+    /// have.
     fn push(&mut self, elements: &[(String, String)], unit: &str, remedy: impl Into<String>) {
         let Some((element, value)) = elements.first() else {
             return;
@@ -103,7 +106,7 @@ impl Extent {
         self.high = self.high.max(other.high);
     }
 
-    /// Size of a shape in the frame of its link.
+    /// Box about a shape in the frame of its link.
     fn of(shape: &Shape) -> Self {
         let mut extent = Self::EMPTY;
         let half = match &shape.geometry {
@@ -131,7 +134,7 @@ impl Extent {
         if self.low.x > self.high.x { 0.0 } else { self.high.distance(self.low) }
     }
 
-    /// m^3.
+    /// Volume, m^3.
     fn volume(&self) -> f64 {
         let diagonal = self.diagonal();
         if diagonal == 0.0 {
@@ -143,11 +146,12 @@ impl Extent {
 }
 
 struct Sizes {
-    /// About each URDF link's own shapes, in the frame of the merged link.
+    /// Box about each URDF link's own shapes, in the frame of the merged link.
     shapes: Vec<Extent>,
-    /// About these, the link's centre of mass and the joints on it; empty for a link without shapes.
+    /// Box about these shapes, the link's centre of mass and the joints on it; empty for a link
+    /// without shapes.
     links: Vec<Extent>,
-    /// About all shapes, frames and centres of mass with all joints at zero, in the base frame.
+    /// Box about all shapes, frames and centres of mass with all joints at zero, in the base frame.
     whole: Extent,
 }
 
@@ -190,7 +194,7 @@ impl Sizes {
     }
 }
 
-/// Offsets and shapes in mm or cm.
+/// Finds offsets and shapes in mm or cm.
 fn lengths(robot: &urdf_rs::Robot, model: &Model, found: &mut Found<'_>) {
     let length = |pose: &urdf_rs::Pose| DVec3::from_array(*pose.xyz).length();
     let joints =
@@ -217,7 +221,7 @@ fn lengths(robot: &urdf_rs::Robot, model: &Model, found: &mut Found<'_>) {
         let Some(body) = bodies.get(link.name.as_str()) else {
             continue;
         };
-        // shapes that were left out leave no trace, so that both are counted only if they agree
+        // omitted shapes leave no trace, so both are counted only if they agree
         let pairs = link.collision.iter().zip(&body.shapes).filter(|_| link.collision.len() == body.shapes.len());
         for (collision, shape) in pairs {
             let element = format!("link \"{}\", <collision>", link.name);
@@ -253,7 +257,7 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Limits and rotations in degrees, and travel in mm.
+/// Finds limits and rotations in degrees, and travel in mm.
 fn angles(robot: &urdf_rs::Robot, found: &mut Found<'_>) {
     let (mut degrees, mut travel) = (Vec::new(), Vec::new());
     for joint in &robot.joints {
@@ -291,7 +295,7 @@ fn angles(robot: &urdf_rs::Robot, found: &mut Found<'_>) {
     found.push(&turned, "degrees", "write radians");
 }
 
-/// Masses in g.
+/// Finds masses in g.
 fn masses(robot: &urdf_rs::Robot, model: &Model, sizes: &Sizes, found: &mut Found<'_>) {
     let dense = |mass: f64, volume: f64| volume > 0.0 && mass > DENSEST * volume;
     let (total, volume) = (model.total_mass(), sizes.whole.volume());
@@ -324,7 +328,7 @@ fn masses(robot: &urdf_rs::Robot, model: &Model, sizes: &Sizes, found: &mut Foun
     found.push(&heavy, "grams", "write kilograms, or larger shapes if the mass is right");
 }
 
-/// Inertias in kg mm^2 and other small units.
+/// Finds inertias in kg mm^2 and other small units.
 fn inertias(robot: &urdf_rs::Robot, sizes: &Sizes, found: &mut Found<'_>) {
     let size = sizes.whole.diagonal();
     let mut wide = Vec::new();
@@ -355,7 +359,7 @@ fn inertias(robot: &urdf_rs::Robot, sizes: &Sizes, found: &mut Found<'_>) {
     found.push(&wide, unit, "write the inertia in kg m^2");
 }
 
-/// Efforts in N mm.
+/// Finds efforts in N mm.
 fn efforts(robot: &urdf_rs::Robot, model: &Model, sizes: &Sizes, found: &mut Found<'_>) {
     const GRAVITY: f64 = 9.81;
     let load = model.total_mass() * GRAVITY * sizes.whole.diagonal();

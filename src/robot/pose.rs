@@ -40,7 +40,7 @@ impl Pose {
         Self { rotation: DMat3::IDENTITY, translation }
     }
 
-    /// The transform the other way round.
+    /// The inverse transform.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }

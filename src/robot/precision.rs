@@ -1,4 +1,5 @@
-//! Robots whose motion single precision loses: a part that is far away, or heavy, next to one that turns easily.
+//! Robots whose motion is lost in single precision: a part that is far away, or heavy, next to one
+//! that turns easily.
 
 use std::path::Path;
 
@@ -20,7 +21,7 @@ const LONG: f64 = 10.0;
 const HEAVY: f64 = 1e3;
 const BULKY: f64 = 3e4;
 
-/// Checks the size of the whole robot with all joints at zero, and what single precision keeps of its inertia.
+/// Checks the size of the whole robot with all joints at zero, and the precision of its inertia.
 ///
 /// # Errors
 /// [`RobotError::Value`] for links farther from the base than [`REACH`], [`RobotError::Inertia`] for a robot that is too large or
@@ -138,7 +139,7 @@ impl Articulated {
         self.shift += other.shift;
     }
 
-    /// Inertia about or along an axis, and what is left of it for the parent.
+    /// Inertia about or along an axis, and the remaining inertia for the parent.
     fn released(&self, axis: DVec3, is_prismatic: bool) -> (f64, Self) {
         let (moment, force) = if is_prismatic {
             (self.couple * axis, self.shift * axis)

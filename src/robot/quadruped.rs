@@ -26,7 +26,7 @@ pub(super) const CORNERS: [Place; 4] = [Place::LeftFront, Place::LeftHind, Place
 /// The roles of [`ROLES`].
 pub(super) const LEG_ROLES: [Role; 3] = [Role::Haa, Role::Hfe, Role::Kfe];
 
-/// The joints of each of [`LEGS`]: those that are named, and the others by geometry.
+/// The joints of each of [`LEGS`]: joints that are named, and the others by geometry.
 pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints; 4], RobotError> {
     let of_slot = |place, role| named.joints.get(&Slot::new(place, role)).copied();
     let named_legs = CORNERS.map(|place| LEG_ROLES.map(|role| of_slot(place, role)));
@@ -56,7 +56,7 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
         Some(foot) => pose.links[foot.link].transform_point(foot.point),
         None => leg[2].map_or(DVec3::ZERO, |knee| pose.position(knee)),
     };
-    // Where the hips do not tell the corners apart, the feet may.
+    // Where the hips leave the corners open, the feet may decide.
     let corners = corners(&legs, &found, &first).or_else(|| corners(&legs, &found, &foot));
     let Some(corners) = corners else {
         let found: Vec<Vec<usize>> = found.iter().map(|leg| leg.iter().flatten().copied().collect()).collect();

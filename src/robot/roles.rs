@@ -1,4 +1,4 @@
-//! Limbs, the roles of their joints, and feet, told apart by geometry.
+//! Limbs, the roles of their joints, and feet, by geometry.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use super::model::Model;
 use super::quadruped::{self, CANONICAL_JOINT_NAMES, CORNERS, LEG_ROLES};
 use super::upper::{UpperChain, upper_chains};
 
-/// Chains that an error lists.
+/// Number of chains that an error lists.
 const LISTED: usize = 12;
 
 /// Part of the robot that a contact body belongs to; terms name it in configs.
@@ -42,7 +42,7 @@ pub enum BodyGroup {
     Other,
 }
 
-/// Names in a config.
+/// Names that a config gives to joints and feet.
 #[derive(Default)]
 pub(super) struct Overrides {
     pub joints: BTreeMap<Slot, usize>,
@@ -231,7 +231,7 @@ fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, R
     Ok(limbs)
 }
 
-/// Where a leg ends, in the base frame, m.
+/// End of a leg in the base frame, m.
 fn tip(pose: &ZeroPose<'_>, chain: &LimbChain) -> DVec3 {
     let foot = chain.joints.iter().rev().find_map(|joint| feet::find(pose, *joint, None));
     match (foot, chain.joints.last()) {
@@ -241,7 +241,7 @@ fn tip(pose: &ZeroPose<'_>, chain: &LimbChain) -> DVec3 {
     }
 }
 
-/// The places of two, four or six legs: as many on the left as on the right, from the front to the back.
+/// The places of two, four or six legs, half of them on the left, from the front to the back.
 fn sides(pose: &ZeroPose<'_>, chains: &[LimbChain], legs: &[usize], feet: &[DVec3]) -> Result<Vec<Place>, RobotError> {
     use Place::{Left, LeftFront, LeftHind, LeftMiddle, Right, RightFront, RightHind, RightMiddle};
     let (left, right): (&[Place], &[Place]) = match legs.len() {
@@ -310,7 +310,7 @@ fn number(limbs: Vec<RawLimb>) -> Vec<Limb> {
     limbs.collect()
 }
 
-/// The limbs with the joints that are named in the slots that they are named for.
+/// The limbs with the named joints in their slots.
 fn with_named(pose: &ZeroPose<'_>, mut limbs: Vec<Limb>, named: &Overrides) -> Result<Vec<Limb>, RobotError> {
     let is_named = |joint: usize| named.joints.values().any(|named| *named == joint);
     for limb in &mut limbs {
@@ -401,7 +401,7 @@ fn foot(pose: &ZeroPose<'_>, limb: &Limb, named: Option<usize>) -> Result<Foot, 
             "add a <collision> with a <sphere>, or name the foot's link in feet (--foot LEG=LINK of robot new)",
         ));
     };
-    // a sole is more than the point that is farthest from the knee
+    // a sole is larger than the point farthest from the knee
     let sole = if knee.is_some() { None } else { feet::sole(pose, found.body) };
     let (point, radius) = sole.unwrap_or((found.point, found.radius));
     Ok(Foot { body: found.body, point, radius })
