@@ -1,4 +1,5 @@
-//! Curriculum: what grows harder or easier from episode to episode. Each env begins on a tile of the terrain.
+//! Curriculum: changes of difficulty from episode to episode. Each env begins on a tile of the
+//! terrain.
 
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
@@ -63,7 +64,8 @@ struct LevelRules {
     /// Share of the commanded distance below which a robot moves to an easier level.
     #[serde(default = "half", deserialize_with = "values::number_of::<Gain, _, _>")]
     required_share: f64,
-    /// Length that an episode must have had for a robot to move to an easier level, s. A shorter one does not show what the robot can do.
+    /// Least length of an episode after which a robot moves to an easier level, s. A shorter one
+    /// does not show the robot's ability.
     #[serde(default = "one", deserialize_with = "values::non_negative")]
     min_length_s: f64,
 }
@@ -76,11 +78,11 @@ fn one() -> f64 {
     1.0
 }
 
-/// A robot that left its tile moves to a harder level, one that fell behind its command to an easier one; from beyond the
-/// hardest it moves to any.
+/// A robot that left its tile moves to a harder level, one that fell behind its command to an
+/// easier one. Beyond the hardest level it moves to a random one.
 ///
-/// The commanded distance is that of the time which the robot was given: a fall leaves the rest of the episode unused, while an end from
-/// outside or a late start takes it away.
+/// The commanded distance counts the time that the robot was given. A fall leaves the rest of the
+/// episode unused, while an end from outside or a late start takes it away.
 fn terrain_levels(p: &LevelRules, end: &mut EpisodeEnd, rng: &mut EnvRng) {
     let Some(layout) = end.layout else {
         return;

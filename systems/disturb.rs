@@ -1,4 +1,4 @@
-//! Interval events: what happens to a robot again and again within an episode.
+//! Interval events, which happen to a robot again and again within an episode.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
@@ -14,7 +14,7 @@ use crate::config::values;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::Workers;
 
-/// Lets interval events happen.
+/// Runs interval events.
 #[derive(Default)]
 pub struct DisturbPlugin;
 

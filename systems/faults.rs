@@ -11,7 +11,8 @@ use bevy_ecs::system::RegisteredSystemError;
 use crate::error::Error;
 
 thread_local! {
-    /// The first error since [`run`] began. Systems run in the thread of their caller, and handlers of errors see no world.
+    /// The first error since [`run`] began. Systems run in their caller's thread, and error
+    /// handlers have no access to the world.
     static FAULT: RefCell<Option<Error>> = const { RefCell::new(None) };
 }
 
@@ -41,7 +42,7 @@ pub(crate) fn run(world: &mut World, schedule: impl ScheduleLabel) -> Result<(),
 /// The outcome of a system that was run alone.
 ///
 /// # Errors
-/// It failed, or its parameters are not there.
+/// The system failed, or lacks its parameters.
 pub(crate) fn outcome<I: SystemInput, T>(ran: std::result::Result<T, RegisteredSystemError<I, T>>) -> Result<T, Error> {
     ran.map_err(|error| match error {
         RegisteredSystemError::Failed(error) => own(&error, "of the pipeline"),

@@ -1,4 +1,4 @@
-//! Says which systems of the pipeline may have written a number that is not finite.
+//! Finds the systems of the pipeline that may have written a number that is not finite.
 
 use std::collections::BTreeSet;
 
@@ -13,9 +13,9 @@ use crate::components::{
     BasePose, BaseVelocity, Command, ContactSensor, Env, Episode, HeightScan, Imu, JointState, JointTargets, Robot,
 };
 
-/// Looks at all robots after each set of a control step. A state that broke in the physics is a broken episode and no fault; any
-/// other number that is not finite is logged as an error, with the set after which it was found and that set's systems that write
-/// the component.
+/// Checks all robots after each set of a control step. A state that diverged in the physics is a
+/// broken episode and no fault. Any other number that is not finite is logged as an error, with the
+/// set after which it was found and that set's systems that write the component.
 #[derive(Default)]
 pub struct FinitePlugin;
 
@@ -50,7 +50,7 @@ struct Writers {
     systems: Vec<(PipelineSet, &'static str, String)>,
 }
 
-/// The sets after which numbers are looked at, in their order.
+/// The sets after which numbers are checked, in their order.
 const SETS: [PipelineSet; 7] = [
     PipelineSet::Act,
     PipelineSet::Command,
@@ -83,7 +83,8 @@ impl Plugin for FinitePlugin {
     }
 }
 
-/// Notes what each system writes, before the schedule is built: a schedule that is built does not tell any more.
+/// Records the components that each system writes. This comes before the schedule is built, which
+/// hides them.
 fn note_written(world: &mut World) {
     let components = [
         ("BasePose", world.register_component::<BasePose>()),
@@ -131,7 +132,7 @@ fn name_writers(world: &mut World) {
     world.insert_resource(writers);
 }
 
-/// Notes what is not finite after a set and was before.
+/// Records numbers that are not finite after a set and were finite before.
 fn look(
     set: PipelineSet,
 ) -> impl FnMut(
@@ -172,7 +173,7 @@ fn look(
     }
 }
 
-/// Tells of what no broken episode explains.
+/// Reports numbers that no broken episode explains.
 fn report(mut non_finite: ResMut<NonFinite>, writers: Res<Writers>, episodes: Blocks<&'static Episode, Env>) -> Result {
     let episodes = episodes.read()?;
     let fresh = std::mem::take(&mut non_finite.fresh);

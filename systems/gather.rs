@@ -1,4 +1,4 @@
-//! The robots' state as dense rows, for those who look at it from outside: gathered when it is asked for.
+//! The robots' state as dense rows for callers outside, gathered on request.
 
 use bevy_ecs::prelude::*;
 
@@ -22,7 +22,7 @@ pub enum StateField {
     BaseQuat,
     /// Velocity of the base's centre of mass, base axes, m/s.
     BaseLinVel,
-    /// Base axes, rad/s.
+    /// Angular velocity, base axes, rad/s.
     BaseAngVel,
     /// Unit vector of gravity, base axes; zeros without gravity.
     ProjectedGravity,
@@ -42,11 +42,11 @@ pub enum StateField {
     FeetPos,
     /// Heights of the feet's centres above the ground below them, m.
     FeetHeight,
-    /// World axes, m/s.
+    /// Velocities of the feet's centres, world axes, m/s.
     FeetVel,
-    /// How long each foot has been in the air, s.
+    /// Time that each foot has been in the air, s.
     FeetAirTime,
-    /// How long each foot has been in contact, s.
+    /// Time that each foot has been in contact, s.
     FeetContactTime,
     /// Commanded forward and left velocity (m/s) and yaw rate (rad/s), base axes.
     Command,

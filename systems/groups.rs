@@ -1,4 +1,4 @@
-//! Groups of contact bodies, as terms name them.
+//! Groups of contact bodies, by the names of terms.
 
 use serde::Deserialize;
 

@@ -75,7 +75,7 @@ impl Share {
     }
 }
 
-/// Reads what the options name, unless it is there already.
+/// Reads the task and robots of the options, unless they are loaded already.
 fn load(world: &mut World) -> Result {
     Ok(load_into(world)?)
 }
@@ -135,13 +135,13 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     Ok(())
 }
 
-/// Bytes that an env takes on top of [`BYTES_PER_ENV`] by what its task and its robot's config ask for: observations, rays, late
-/// targets and what actuator networks remember.
+/// Bytes of an env beyond [`BYTES_PER_ENV`] for its task and its robot's config: observations,
+/// rays, late targets and the memory of actuator networks.
 fn bytes_per_env(morphology: &MorphologyModel, task: &CompiledTask) -> usize {
     let sensors = &task.config.sensors;
     let rays = sensors.height_scanner.as_ref().map_or(0, |scanner| scanner.counts().iter().product());
     let late = history_length(morphology.max_delay(), task.config.sim.decimation as usize);
-    // a row of observations is held twice, and its last one of an episode once more
+    // a row of observations is held twice, and the last one of an episode once more
     let numbers = [task.num_obs(); 3].into_iter().chain([rays, late * morphology.topology.num_joints()]);
     let forces = morphology.feet.len() * task.config.sim.decimation as usize;
     numbers.chain([morphology.num_remembered(), forces]).fold(0, usize::saturating_add).saturating_mul(size_of::<f32>())
@@ -175,8 +175,8 @@ fn read(options: &SimOptions) -> Result<Loaded, Error> {
     Ok(Loaded { task, robots })
 }
 
-/// Envs per robot, in contiguous blocks: each robot has envs for its shares, rounded down, and the first ones one more, as
-/// long as there are any left.
+/// Envs per robot, in contiguous blocks: each robot has envs for its shares, rounded down, and the
+/// first ones one more, until all envs have a robot.
 pub fn distribute(num_envs: usize, shares: &[usize]) -> Vec<usize> {
     let total: usize = shares.iter().sum();
     let mut counts: Vec<usize> = shares.iter().map(|share| num_envs * share / total).collect();
@@ -222,7 +222,7 @@ fn check_arguments(robots: &[String], options: &SimOptions) -> Result<(), Error>
     check_threads(threads).map_err(|(problem, remedy)| Error::argument("threads", problem, remedy))
 }
 
-/// A name and a path may mean the same robot: what counts is the name in its config.
+/// A name and a path may mean the same robot: the name in its config decides.
 fn check_distinct(robots: &[LoadedRobot]) -> Result<(), Error> {
     let name = |i: usize| robots[i].config.name.as_str();
     match (0..robots.len()).find(|&i| (0..i).any(|j| name(j) == name(i))) {

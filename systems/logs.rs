@@ -43,9 +43,9 @@ impl EpisodeSums {
 /// Means over finished episodes of one robot. Velocity errors are time averages.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeStats {
-    /// How many episodes.
+    /// Number of episodes.
     pub episodes: u64,
-    /// How many ended in failure.
+    /// Number of episodes that ended in failure.
     pub falls: u64,
     /// Mean length, s.
     pub episode_length_s: f64,
@@ -53,29 +53,30 @@ pub struct EpisodeStats {
     pub error_vel_xy: f64,
     /// Error of the yaw rate, rad/s.
     pub error_vel_yaw: f64,
-    /// m/s: what the error of standing still would have been.
+    /// Error of planar velocity of a robot that stands still, m/s.
     pub command_xy: f64,
-    /// rad/s: what the error of not turning would have been.
+    /// Error of the yaw rate of a robot that does not turn, rad/s.
     pub command_yaw: f64,
     /// Reward per second.
     pub reward_per_s: f64,
-    /// Way that the base went in an episode, m.
+    /// Distance of the base in an episode, m.
     pub distance: f64,
     /// Level of difficulty of the tile on which the episode was, if the ground is generated terrain.
     pub terrain_level: Option<f64>,
 }
 
-/// Largest count of a log that is restored: counting on from there does not overflow.
+/// Largest count in a restored log: later counts do not overflow.
 const MAX_LOGGED: u64 = u64::MAX / 2;
 
-/// A sum of single-precision numbers in steps of 2^-64. It does not depend on the order of its terms, nor on who adds which.
+/// A sum of single-precision numbers in steps of 2^-64. It depends neither on the order of its
+/// terms nor on who adds them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct ExactSum(i128);
 
 impl ExactSum {
     const STEPS: f64 = (1u128 << 64) as f64;
 
-    /// Adds a number; one that is none counts as 0.
+    /// Adds a number; one that is not finite counts as 0.
     fn add(&mut self, x: f32) {
         self.0 = self.0.saturating_add((f64::from(x) * Self::STEPS) as i128);
     }
@@ -153,7 +154,7 @@ impl RobotLog {
         self.causes.iter_mut().zip(&other.causes).for_each(|(sum, count)| *sum = sum.saturating_add(*count));
     }
 
-    /// Whether it may take the place of `present`.
+    /// Whether the log may replace `present`.
     fn fits(&self, present: &Self) -> bool {
         let counts = [self.episodes, self.falls, self.steps].into_iter().chain(self.causes.iter().copied());
         self.terms.len() == present.terms.len()
@@ -187,7 +188,8 @@ pub struct Logs {
 }
 
 impl Logs {
-    /// Whether they may take the place of `present`: they are of as many robots, terms and causes.
+    /// Whether the logs may replace `present`: they have the same number of robots, terms and
+    /// causes.
     pub(crate) fn fits(&self, present: &Self) -> bool {
         let same = |ours: &[RobotLog], theirs: &[RobotLog]| {
             ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(a, b)| a.fits(b))
@@ -211,7 +213,7 @@ impl Logs {
         task.rewards.iter().map(|terms| RobotLog::new(terms.len(), causes)).collect()
     }
 
-    /// Log entries over the episodes that ended since the last call; none if there were none.
+    /// Log entries over the episodes that ended since the last call; empty without episodes.
     ///
     /// Reward terms are episode sums divided by the full episode's length in seconds, as in Isaac
     /// Lab.

@@ -1,8 +1,8 @@
 //! Avian's world follows the robots, once per control step.
 //!
-//! Before Avian steps, each mirror gets the velocity that takes it from its old pose to the new one, so that what it meets on
-//! the way is pushed as by a moving body; afterwards it gets the link's own velocity. A robot that begins a new episode is
-//! put where it is, and meets nothing on the way.
+//! Before Avian steps, each mirror gets the velocity that takes it from its old pose to the new
+//! one, so that it pushes bodies in its way as a moving body does. Afterwards it gets the link's
+//! own velocity. A robot that begins a new episode jumps to its pose, and pushes nothing.
 
 use avian3d::collider_tree::update_moved_collider_aabbs;
 use avian3d::prelude::{
@@ -149,7 +149,7 @@ pub(super) fn mirror_resets(world: &mut World) -> Result {
     Ok(run(world, place_new)?)
 }
 
-/// Puts all mirrors where the links are, if there are any.
+/// Puts all mirrors at their links, if there are any.
 pub(crate) fn mirror_all(world: &mut World) -> Result<(), Error> {
     if world.contains_resource::<LinkMirrors>() { run(world, place_all) } else { Ok(()) }
 }
@@ -185,7 +185,7 @@ fn place_all(
     Ok(place(&workers, &morphologies, mirrors, &states, links, |_| true)?)
 }
 
-/// Whether there was any to be placed.
+/// Places mirrors; returns whether there were any.
 fn place(
     workers: &Workers,
     morphologies: &Morphologies,
@@ -204,7 +204,7 @@ fn place(
             if let Ok((mut position, mut rotation, mut linear, mut angular, mut transform)) = links.get_mut(entity) {
                 (position.0, rotation.0) = (to.position, to.rotation);
                 (linear.0, angular.0) = (to.linear, to.angular);
-                // Avian would take the old one for a wish
+                // Avian would take an old transform for a request
                 (transform.translation, transform.rotation) = (to.position, to.rotation);
             }
         }
@@ -212,7 +212,7 @@ fn place(
     Ok(true)
 }
 
-/// Where the links of robots that are due are.
+/// Updates the link poses of robots that are due.
 fn follow(
     workers: &Workers,
     morphologies: &Morphologies,

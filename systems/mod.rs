@@ -1,7 +1,7 @@
-//! The pipeline: what happens to every env in one control step, and in which order.
+//! The pipeline: the systems of a control step, and their order.
 //!
-//! [`PolypodPlugins`] is the whole of it, one plugin per concern. A user leaves one out and adds another, or adds systems to a
-//! [`PipelineSet`]:
+//! [`PolypodPlugins`] is the whole pipeline, one plugin per concern. A user leaves one out and adds
+//! another, or adds systems to a [`PipelineSet`]:
 //!
 //! ```
 //! use bevy_app::{App, Plugin, PluginGroup};

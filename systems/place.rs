@@ -1,4 +1,5 @@
-//! Where a new episode begins: the robot is lifted above the ground, and what follows from its state is computed.
+//! Start of a new episode: the robot is lifted above the ground, and quantities that follow from
+//! its state are computed.
 
 use bevy_ecs::prelude::*;
 
@@ -13,7 +14,7 @@ use crate::world::Ground;
 
 /// Half the side of the square about the base's origin above whose highest ground a robot begins, m.
 const FOOTPRINT: f32 = 0.5;
-/// A shape that is this much nearer to the ground than the margin is where it should be, m: the default pose is, but for rounding.
+/// Distance below which a shape counts as placed, m: the default pose is, but for rounding.
 const TOLERANCE: f32 = 1e-4;
 
 /// Components of robots that are read and written.
@@ -25,7 +26,7 @@ type Scratch = Vec<Option<Workspace<f32>>>;
 
 /// Lifts the robots whose episode has just begun above the ground, and places their feet.
 ///
-/// The reset drew a pose, and maybe a body, whose lowest point is not that of the default pose.
+/// The reset sampled a pose, and maybe a body, with another lowest point than the default pose.
 pub(super) fn place_robots(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
@@ -142,7 +143,8 @@ impl Posed<'_> {
         feet.measure(ground, origin);
     }
 
-    /// Height of a contact candidate's lowest point above the base's origin, m, and where its centre is, base axes.
+    /// Height of a contact candidate's lowest point above the base's origin, m, and its centre,
+    /// base axes.
     #[inline(always)]
     fn candidate(&self, contact: usize) -> (f32, [f32; 3]) {
         let (of, p) = (&self.topology.contacts[contact], self.parameters);
@@ -177,7 +179,7 @@ impl Posed<'_> {
             let [x, y] = [dot(&self.rotation[0], &centre), dot(&self.rotation[1], &centre)];
             let reach = self.parameters.contact_radius[contact] + self.parameters.contact_rim[contact];
             let is_within = x.abs().max(y.abs()) + reach <= FOOTPRINT;
-            // most candidates are above all that is around
+            // most candidates are above all ground around them
             let bound = if is_within { highest } else { grid.highest };
             if least + bound - low > TOLERANCE.max(missing) {
                 missing = missing.max(least + grid.highest_near(at[0] + x, at[1] + y, reach) - low);

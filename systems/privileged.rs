@@ -1,4 +1,4 @@
-//! Observation terms of what no sensor of a robot tells: for a critic, a teacher, or an estimator to learn.
+//! Observation terms that no sensor of a robot measures: for a critic, a teacher, or an estimator.
 
 use super::terms::{Block, NoParams, Per, Registry, TermKind, TermSpec};
 use super::view::RobotView;

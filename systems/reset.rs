@@ -69,7 +69,8 @@ type EnvColumns = (
     &'static mut EnvOrigin,
 );
 
-/// Resets what is due: state, targets, delays, timers, sums and command, each from the env's own stream.
+/// Resets the envs that are due: state, targets, delays, timers, sums and command, each from the
+/// env's own stream.
 ///
 /// Quantities of a physics step (efforts, accelerations, contact forces, impulses) are zero: none
 /// has been made. [`place_robots`] and [`Sensor::begin`](super::Sensor::begin) then compute the
@@ -189,7 +190,7 @@ struct BaseRange {
     /// Range of the base's position, m.
     #[serde(deserialize_with = "values::range_of::<Coordinate, _, _>")]
     x: [f32; 2],
-    /// See `x`.
+    /// Range of y, like `x`.
     #[serde(deserialize_with = "values::range_of::<Coordinate, _, _>")]
     y: [f32; 2],
     /// Range of its heading, rad.

@@ -1,4 +1,4 @@
-//! How events draw numbers, and how a task may put its own ranges in place of the robots'.
+//! Sampling of numbers for events, with ranges of the robots or of the task.
 //!
 //! Logarithm and exponential are the crate libm's, which is plain Rust: the same bits on every machine.
 
@@ -51,7 +51,7 @@ pub(super) enum Source<T> {
     Task(T),
 }
 
-/// The draws of several quantities that the task gives parameters for, if it gives any.
+/// The draws of several quantities from the task's parameters, if it has any.
 ///
 /// # Errors
 /// Parameters that the distribution cannot have, or an operation or distribution without any parameters.

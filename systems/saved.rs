@@ -20,7 +20,7 @@ use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::world::Ground;
 
-/// Where a saved component is to go.
+/// Destination of a saved component.
 pub struct Place<'a> {
     /// Morphology of the env.
     pub morphology: &'a MorphologyModel,
@@ -30,7 +30,8 @@ pub struct Place<'a> {
 
 /// A component that snapshots hold.
 pub trait Saved: Component<Mutability = Mutable> + Clone + Serialize + DeserializeOwned {
-    /// Whether this one, of a snapshot, can take the place of `present`: lists are as long, indices exist.
+    /// Whether this component of a snapshot can replace `present`: lists have the same lengths,
+    /// indices exist.
     fn fits(&self, present: &Self, place: &Place) -> bool;
 }
 
@@ -43,7 +44,7 @@ pub(crate) struct HeldRows {
     pub(crate) morphologies: Vec<Morphology>,
 }
 
-/// Puts what was read into the world.
+/// Writes loaded data into the world.
 type Write = Box<dyn FnOnce(&mut World)>;
 
 struct SavedComponent {
@@ -66,7 +67,7 @@ pub(crate) struct SavedComponents {
 /// A component of all entities that have it, as bytes.
 pub(crate) type SavedColumn = (String, Vec<u8>);
 
-/// Has snapshots hold a component, in a plugin's `build`; every env has one.
+/// Adds a component to snapshots, in a plugin's `build`; every env has one.
 pub fn save_component<C: Saved>(app: &mut App) {
     save_component_of::<C, Env>(app);
 }
@@ -84,13 +85,13 @@ pub(super) fn measure_after_restore(app: &mut App, measure: fn(&mut World) -> Re
 }
 
 impl SavedComponents {
-    /// All of them.
+    /// Saves all components.
     pub(crate) fn save(world: &mut World) -> postcard::Result<Vec<SavedColumn>> {
         let all: Vec<_> = world.resource::<Self>().all.iter().map(|saved| (saved.name, saved.save)).collect();
         all.into_iter().map(|(name, save)| Ok((name.to_string(), save(world)?))).collect()
     }
 
-    /// Reads all of them; nothing is changed before what this returns is called.
+    /// Reads all components; nothing changes before the returned function is called.
     pub(crate) fn load(world: &mut World, columns: &[SavedColumn], rows: &HeldRows) -> Result<Vec<Write>, String> {
         let all: Vec<_> =
             world.resource::<Self>().all.iter().map(|saved| (saved.name, saved.load, saved.is_on)).collect();
@@ -119,7 +120,7 @@ impl SavedComponents {
         Ok(())
     }
 
-    /// Measures what snapshots do not hold.
+    /// Runs the callbacks, which measure quantities that snapshots do not hold.
     pub(crate) fn measure(world: &mut World) -> Result<(), Error> {
         let measured = world.resource::<Self>().measured.clone();
         measured.into_iter().try_for_each(|measure| measure(world))
@@ -179,7 +180,7 @@ macro_rules! of_any_value {
 }
 of_any_value!(EnvRng, Command, BasePose, BaseVelocity, ExternalWrench, Imu);
 
-/// Largest count of a snapshot. No run gets there, and what counts on from there does not overflow.
+/// Largest count in a snapshot. No run gets there, and later counts do not overflow.
 const MAX_COUNT: u32 = u32::MAX / 2;
 
 impl Saved for Episode {

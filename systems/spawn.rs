@@ -16,7 +16,7 @@ use crate::components::{
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};
 
-/// Spawns envs and robots, and says what of them snapshots hold.
+/// Spawns envs and robots, and registers their components for snapshots.
 #[derive(Default)]
 pub struct SpawnPlugin;
 

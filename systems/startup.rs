@@ -200,7 +200,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.body_event("randomize_motor_strength", randomize_motor_strength);
 }
 
-/// Another body of the same kind, from the ranges of the robot's `[variation]` and those of the task.
+/// Varies the body, by the ranges of the robot's `[variation]` and of the task.
 fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
     let ranges = &body.morphology.config.variation;
     let mut uniform = |range: [f64; 2]| f64::from(rng.uniform(range.map(|x| x as f32)));
@@ -227,7 +227,8 @@ fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
     scales.apply(body.morphology, body.parameters, body.stance);
 }
 
-/// One of `num_buckets` values of each coefficient of friction that has a range, the dynamic one at most the static one.
+/// Samples each coefficient of friction that has a range from `num_buckets` values, the dynamic one
+/// at most the static one.
 fn physics_material(p: &PhysicsMaterial, body: &mut NewBody, rng: &mut EnvRng) {
     let ranges = &body.morphology.config.randomization;
     let last = p.num_buckets.max(1) - 1;
@@ -308,8 +309,9 @@ fn each_joint(draw: Option<Draw>, body: &mut NewBody, list: JointList, rng: &mut
     }
 }
 
-/// Scales what each motor gives: its torque at any target and its limits, so that the same targets give a share of the
-/// torque. The speed without load stays. Where a network gives the torque, only the limits are scaled.
+/// Scales each motor: its torque at any target and its limits, so that the same targets give a
+/// share of the torque. The speed without load stays. Where a network gives the torque, only the
+/// limits are scaled.
 fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut EnvRng) {
     let range = p.strength_range.unwrap_or(body.morphology.config.randomization.motor_strength).map(|x| x as f32);
     let b = &mut *body.parameters;
@@ -318,7 +320,7 @@ fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut Env
         for x in [&mut b.stiffness[j], &mut b.damping[j]] {
             *x *= share;
         }
-        // none has no share
+        // an absent limit has no share
         for x in [&mut b.effort_limit[j], &mut b.saturation_effort[j]] {
             if x.is_finite() {
                 *x *= share;

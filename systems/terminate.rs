@@ -30,7 +30,8 @@ impl Plugin for TerminatePlugin {
 
 /// Advances episodes and asks every termination term.
 ///
-/// Under [`Autoreset::NextStep`] an env that ended before is only reset in this step: it neither ends nor advances.
+/// Under [`Autoreset::NextStep`] an env that ended before is only reset in this step: it neither
+/// ends nor advances.
 pub(super) fn end_episodes(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
@@ -136,7 +137,8 @@ struct LeastHeight {
     /// Height of the base below which the episode ends, m. Default: `minimum_share`.
     #[serde(default, deserialize_with = "values::optional_of::<Coordinate, _, _>")]
     minimum_height: Option<f32>,
-    /// The same as a share of the robot's height in its default pose, so that robots of all sizes share a task: see
+    /// Least height as a share of the robot's height in its default pose, so that robots of all
+    /// sizes share a task: see
     /// [`MorphologyModel::least_height`](crate::morphology::MorphologyModel::least_height).
     #[serde(default = "half", deserialize_with = "values::number_of::<Factor, _, _>")]
     minimum_share: f32,

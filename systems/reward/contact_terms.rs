@@ -16,7 +16,7 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AirTimeThreshold {
-    /// Flight that neither earns nor costs, s.
+    /// Flight time without reward or cost, s.
     #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
 }
@@ -144,7 +144,8 @@ fn foot_slip(p: &Force, r: &RobotView) -> f32 {
     feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
 }
 
-/// Diagonal feet together, the two diagonals in turn, of robots with four feet in the order LF, LH, RF, RH; 0 for others.
+/// Gait of diagonal pairs that alternate, for robots with four feet in the order LF, LH, RF, RH; 0
+/// for others.
 #[inline(always)]
 fn gait(p: &Gait, r: &RobotView) -> f32 {
     if r.contacts.air_time.len() != 4 || !is_moving(r, p.velocity_threshold) {
@@ -153,7 +154,7 @@ fn gait(p: &Gait, r: &RobotView) -> f32 {
     let (air, contact) = (&r.contacts.air_time, &r.contacts.contact_time);
     let most = p.max_err * p.max_err;
     let square = |d: f32| (d * d).min(most);
-    // exponents add up, where factors would be multiplied
+    // exponents are added, which multiplies the factors
     let sync = |i: usize, j: usize| square(air[i] - air[j]) + square(contact[i] - contact[j]);
     let asynchronous = |i: usize, j: usize| square(air[i] - contact[j]) + square(contact[i] - air[j]);
     let (lf, lh, rf, rh) = (0, 1, 2, 3);

@@ -1,4 +1,4 @@
-//! Reward terms on how feet step, for any number of them.
+//! Reward terms on gaits, for any number of feet.
 //!
 //! Formulas: Isaac Lab's locomotion tasks and Hetero-IsaacLab's humanoid task (BSD-3-Clause), names as there.
 
@@ -41,7 +41,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("gait_symmetry", gait_symmetry);
 }
 
-/// While one foot stands alone: how long it stands and the others swing, the least of these.
+/// While one foot stands alone: the least of its contact time and the others' air times.
 #[inline(always)]
 fn feet_air_time_positive_biped(p: &StrideTime, r: &RobotView) -> f32 {
     let c = r.contacts;
@@ -53,21 +53,22 @@ fn feet_air_time_positive_biped(p: &StrideTime, r: &RobotView) -> f32 {
     phases.map(|(&contact, &air)| if contact > 0.0 { contact } else { air }).fold(p.threshold, f32::min)
 }
 
-/// Planar speed of the feet that stand, m/s, added up.
+/// Sum of the planar speeds of the feet that stand, m/s.
 #[inline(always)]
 fn feet_slide(p: &Force, r: &RobotView) -> f32 {
     let feet = r.morphology.feet.iter().zip(&r.feet.velocity);
     feet.filter(|(body, _)| r.contacts.peak_force[**body] > p.threshold).map(|(_, v)| norm(&v[..2])).sum()
 }
 
-/// 1 while no foot stands: a robot that flies.
+/// 1 while no foot stands.
 #[inline(always)]
 fn desired_contacts(p: &Force, r: &RobotView) -> f32 {
     let stands = r.morphology.feet.iter().any(|&foot| r.contacts.peak_force[foot] > p.threshold);
     f32::from(u8::from(!stands))
 }
 
-/// When a foot lands: by how much its last flight differs from that of the foot on the other side, s, added up over pairs.
+/// Asymmetry of a gait: when a foot lands, the difference of its last flight from the opposite
+/// foot's, s, summed over pairs.
 #[inline(always)]
 fn gait_symmetry(_: &NoParams, r: &RobotView) -> f32 {
     if norm(r.command) <= STANDING {

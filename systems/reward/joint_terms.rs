@@ -49,14 +49,15 @@ fn command_threshold() -> f32 {
 
 /// The joints of a robot that a term is about.
 struct OnJoints {
-    /// Physical joints; none: all of them, in order.
+    /// Physical joints; None: all of them, in order.
     joints: Option<Vec<usize>>,
     /// 1 for the sum, 1 over their number for the mean.
     factor: f32,
 }
 
 impl OnJoints {
-    /// Key, problem and remedy of a pattern that no robot could match; one that this robot has nothing for is an empty set.
+    /// Joints of the patterns. Errors hold key, problem and remedy of a pattern that no robot could
+    /// match; a pattern without joints on this robot is an empty set.
     fn new(patterns: Option<&[String]>, mean: bool, robot: &MorphologyModel) -> Result<Self, (String, String, String)> {
         for (index, pattern) in patterns.iter().copied().flatten().enumerate() {
             check_pattern(&format!("joints[{index}]"), pattern)?;
@@ -146,8 +147,9 @@ fn joint_deviation_l1(on: &OnJoints, r: &RobotView) -> f32 {
     on.of(q.len(), |joint| (q[joint] - default[joint]).abs())
 }
 
-/// How far positions lie beyond the soft limits: `reset.soft_limit_factor` of each joint's range, about its middle. A joint
-/// without two limits has no range, and its soft limits are those that it has.
+/// Sum of the distances of positions beyond the soft limits: `reset.soft_limit_factor` of each
+/// joint's range, about its middle. A joint without two limits has no range, and its soft limits
+/// are those that it has.
 #[inline(always)]
 fn joint_pos_limits(on: &OnJoints, r: &RobotView) -> f32 {
     let (q, lower, upper) = (&r.joints.position, &r.body.lower, &r.body.upper);

@@ -36,7 +36,7 @@ struct RampedStd {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Height {
-    /// Height of the base that is asked for, m. Default: that of the robot's default pose.
+    /// Wanted height of the base, m. Default: the height in the robot's default pose.
     #[serde(default, deserialize_with = "values::optional_of::<HeightRange, _, _>")]
     target_height: Option<f32>,
 }
@@ -44,7 +44,7 @@ struct Height {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StandStill {
-    /// Factor while the robot is to stand and stands.
+    /// Factor for a robot that shall stand and stands.
     #[serde(deserialize_with = "values::number_of::<Factor, _, _>")]
     stand_still_scale: f32,
     /// Planar speed up to which it counts as standing, m/s.

@@ -63,8 +63,9 @@ impl ContactSensor {
     }
 }
 
-/// Advances contact, air, last contact and last air times of the feet by physics steps of `dt`, with these normal forces,
-/// `[steps, feet]`. Four feet, those of most robots, are counted side by side.
+/// Advances contact, air, last contact and last air times of the feet by physics steps of `dt`,
+/// with these normal forces, `[steps, feet]`. Four feet, as most robots have, are counted side by
+/// side.
 #[inline(always)]
 fn count_times(times: [&mut [f32]; 4], normal: &[f32], dt: f32) {
     let [contact, air, last_contact, last_air] = times;
@@ -96,7 +97,7 @@ fn count_times(times: [&mut [f32]; 4], normal: &[f32], dt: f32) {
     }
 }
 
-/// A physics step of one foot, by selection: which foot stands when is hard to foresee.
+/// Counts a physics step of one foot by selection, without branches: contacts are hard to predict.
 #[inline(always)]
 fn count([contact, air, last_contact, last_air]: [&mut f32; 4], normal: f32, dt: f32) {
     let stands = normal > FORCE_THRESHOLD;

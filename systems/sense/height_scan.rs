@@ -27,7 +27,8 @@ impl Sensor for HeightScan {
     }
 }
 
-/// Where the rays of the task's height scanner are about the base, m, in groups of which the last may have copies.
+/// Rays of the task's height scanner about the base, m, in groups, the last of which may hold
+/// copies.
 #[derive(Clone, Debug, Default)]
 pub struct ScanRays {
     groups: Vec<[[f32; LARGE_GROUP]; 2]>,
@@ -42,7 +43,7 @@ impl ScanRays {
         Self { groups: rays.chunks(LARGE_GROUP).map(group).collect(), len: rays.len() }
     }
 
-    /// Looks down around a base; the grid turns with its heading alone.
+    /// Scans the ground around a base; the grid turns with its heading alone.
     #[inline(always)]
     fn scan(&self, ground: &Ground, origin: &EnvOrigin, pose: &BasePose, scan: &mut HeightScan) {
         let Some(grid) = &ground.terrain else {

@@ -11,7 +11,7 @@ use crate::systems::terms::JointMirror;
 /// The observation term that shows them.
 pub(in crate::systems) const TERM: &str = "joint_descriptors";
 
-/// How each number of a joint changes in a mirror; the numbers are those of [`JointDescriptors`].
+/// Change of each number of a joint in a mirror; the numbers are those of [`JointDescriptors`].
 pub(in crate::systems) const MIRROR: [JointMirror; 19] = {
     use JointMirror::{Even, Lower, Odd, Opposite, Position, Upper};
     [
@@ -23,11 +23,11 @@ pub(in crate::systems) const MIRROR: [JointMirror; 19] = {
 /// Numbers of a joint.
 pub(in crate::systems) const COUNT: usize = MIRROR.len();
 
-/// Limits of a joint that has none count as this, rad.
+/// Limit of a joint without one, rad.
 const TURN: f64 = std::f64::consts::PI;
-/// Larger effort limits count as this, N m, and so does none.
+/// Largest effort limit that is shown, N m; a joint without a limit shows it.
 pub(in crate::systems) const MOST_EFFORT: f64 = 1000.0;
-/// Larger speed limits count as this, rad/s, and so does none.
+/// Largest speed limit that is shown, rad/s; a joint without a limit shows it.
 const MOST_SPEED: f64 = 100.0;
 
 impl Sensor for JointDescriptors {

@@ -65,7 +65,8 @@ pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
     /// Data that all sensors of a kind share, such as the directions of rays.
     type Settings: Send + Sync + 'static;
 
-    /// Whether it looks at the terrain: robots on the same tile are then measured in turn, whose heights are in the cache.
+    /// Whether it reads the terrain: robots on the same tile are then measured in turn, while its
+    /// heights are in the cache.
     const READS_TERRAIN: bool = false;
     /// Whether snapshots hold it. A sensor that follows from the robot's state alone is measured
     /// after a restore instead.
@@ -82,7 +83,7 @@ pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
     fn begin(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
         self.measure(settings, robot);
     }
-    /// Measures after a snapshot was restored that does not hold the sensor. Default: measures.
+    /// Measures after a restore of a snapshot without the sensor. Default: measures.
     #[inline(always)]
     fn renew(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
         self.measure(settings, robot);
@@ -139,7 +140,7 @@ type SensedColumns = (
     &'static Stance,
 );
 
-/// System parameter: what measuring on all robots takes.
+/// System parameter: the data for measuring on all robots.
 #[derive(SystemParam)]
 struct Sensing<'w, 's, S: Sensor> {
     workers: Res<'w, Workers>,
@@ -180,7 +181,7 @@ fn renew_all<S: Sensor>(mut sensing: Sensing<S>) -> Result {
     Ok(sensing.run(Occasion::Renew)?)
 }
 
-/// Measures on all robots, where the task has such sensors; after a snapshot was restored.
+/// Measures on all robots after a restore, where the task has such sensors.
 fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
     if world.contains_resource::<SensorSettings<S>>() {
         faults::outcome::<(), ()>(world.run_system_cached(renew_all::<S>))?;
@@ -193,7 +194,7 @@ fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
     Ok(sensing.run(Occasion::Begin)?)
 }
 
-/// Why sensors are read.
+/// Reason for reading a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Occasion {
     /// After the physics of a control step.

@@ -38,9 +38,10 @@ const LOWEST: f32 = 0.02;
 /// Height of the hips whose time scale counts as 1, m.
 const USUAL: f32 = 0.4;
 
-/// Writes what the joints are. In units of the body, lengths count in heights of the hips above the soles h, torques in m g h
-/// and times in sqrt(h / g), each with a factor that makes it of the order of one. The last number is the root of h over 0.4 m:
-/// bodies of the same shape and strength differ by it alone. Without gravity that of the Earth counts.
+/// Writes the descriptions of the joints. In units of the body, lengths count in heights of the
+/// hips above the soles h, torques in m g h and times in sqrt(h / g), each with a factor that makes
+/// it of the order of one. The last number is the root of h over 0.4 m: bodies of the same shape
+/// and strength differ by it alone. Without gravity that of the Earth counts.
 pub(in crate::systems) fn joint_descriptors(units: &DescriptorUnits, r: &RobotView, out: &mut [f32]) {
     out.copy_from_slice(r.joint_descriptors);
     if units.units == Units::Metric {

@@ -40,9 +40,9 @@ impl RewardTerm {
 pub struct ObservationTerm {
     /// Its name.
     pub name: String,
-    /// How many numbers it has in an observation, those that it remembers included.
+    /// Number of values in an observation, with its history.
     pub size: usize,
-    /// How many control steps it remembers, the present one included: the oldest comes first.
+    /// Number of control steps that it remembers, the present one included; the oldest comes first.
     pub history: usize,
     /// Description of the term.
     pub spec: TermSpec,
@@ -106,7 +106,7 @@ pub struct CompiledTask {
     pub rewards: Vec<Vec<RewardTerm>>,
     /// Reasons for an episode to end.
     pub terminations: Vec<TerminationTerm>,
-    /// States beyond these end an episode whatever the task says.
+    /// Limits beyond which a state ends its episode, whatever the task says.
     pub limits: StateLimits,
     pub(in crate::systems) startup_events: Vec<BodyFn>,
     pub(in crate::systems) reset_body_events: Vec<BodyFn>,
@@ -169,9 +169,10 @@ impl PhysicsMaterial {
     }
 }
 
-/// Terms that end episodes, each with a bit of [`Episode::causes`](crate::components::Episode::causes), whose first bit is that of the guard.
+/// Largest number of terms that end episodes. Each has a bit of
+/// [`Episode::causes`](crate::components::Episode::causes), whose first bit is the guard's.
 const MOST_TERMINATIONS: usize = u32::BITS as usize - 1;
-/// Parameters of [`ILLEGAL_STATE`]: [`StateLimits`] that what walks stays within.
+/// Parameters of [`ILLEGAL_STATE`]: [`StateLimits`] that walking robots stay within.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct SpeedLimits {
@@ -391,7 +392,7 @@ impl CompiledTask {
     /// The group of that name.
     ///
     /// # Errors
-    /// There is none.
+    /// An unknown group.
     pub fn group(&self, name: &str) -> Result<&ObservationGroup, ConfigError> {
         self.groups.iter().find(|group| group.name == name).ok_or_else(|| {
             let remedy = did_you_mean(name, self.groups.iter().map(|group| group.name.as_str()), "observation groups");
@@ -411,8 +412,8 @@ impl CompiledTask {
         self.observations.iter().map(|term| term.size).sum()
     }
 
-    /// The mirror image of a row of all groups of this robot, left and right exchanged: of each number, which one takes its place and
-    /// with which sign. Numbers stay in their group.
+    /// The mirror image of a row of all groups of this robot, left and right exchanged: the number
+    /// that takes the place of each number, and its sign. Numbers stay in their group.
     pub fn mirrored_observation(&self, robot: &MorphologyModel) -> Vec<(usize, f32)> {
         let scanner = self.config.sensors.height_scanner.as_ref();
         let mut mirror = Vec::with_capacity(self.num_obs());

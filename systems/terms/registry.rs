@@ -1,4 +1,4 @@
-//! The registry: every term that a task may name, with how it is made from its parameters.
+//! The registry of all terms that tasks may name, with their builders.
 
 use std::collections::BTreeMap;
 
@@ -19,7 +19,7 @@ use crate::morphology::{BatchSlots, MorphologyModel};
 #[serde(deny_unknown_fields)]
 pub(crate) struct NoParams {}
 
-/// Makes a reward term of its parameters for a robot.
+/// Makes a reward term from its parameters, for a robot.
 type RewardBuilder = Box<dyn Fn(&str, &str, &Table, &MorphologyModel) -> Result<RewardFn, ConfigError> + Send + Sync>;
 type Builder<T> = Box<dyn Fn(&str, &str, &Table) -> Result<T, ConfigError> + Send + Sync>;
 pub(super) type RewardFn = Box<dyn Fn(&RobotView, SimdDispatch) -> f32 + Send + Sync>;
@@ -74,8 +74,8 @@ impl Registry {
         self.reward_for(name, |p: P, _| Ok(p), f);
     }
 
-    /// A reward term that is prepared for each kind of robot: `prepare` makes of the task's parameters what the term computes with,
-    /// such as the joints that patterns name; or it gives key, problem and remedy.
+    /// A reward term that is prepared for each morphology. `prepare` turns the task's parameters
+    /// into the term's data, such as the joints of patterns, or returns key, problem and remedy.
     pub fn reward_for<P, Q>(
         &mut self,
         name: &'static str,
@@ -178,7 +178,7 @@ impl Registry {
         self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 
-    /// Names of all observation terms and what they are.
+    /// Names and descriptions of all observation terms.
     pub fn observation_specs(&self) -> impl Iterator<Item = (&'static str, &TermSpec)> {
         self.observations.iter().map(|(name, registered)| (*name, &registered.spec))
     }
@@ -233,7 +233,7 @@ impl Registry {
         self.interval.insert(name, (self.interval.len(), build));
     }
 
-    /// A curriculum term: what changes for an env when its episode ends.
+    /// A curriculum term: changes an env when its episode ends.
     pub fn curriculum<P>(&mut self, name: &'static str, f: fn(&P, &mut EpisodeEnd, &mut EnvRng))
     where
         P: DeserializeOwned + Send + Sync + 'static,

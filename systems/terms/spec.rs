@@ -67,7 +67,7 @@ pub enum TermSource {
 }
 
 impl TermSource {
-    /// Inputs of a folded graph that a term called `name` is computed from, in the order in which its formula takes them.
+    /// Inputs of a folded graph for a term called `name`, in the order of its formula.
     pub fn inputs(self, name: &str) -> Vec<&str> {
         match self {
             Self::Measured => vec![name],
@@ -106,7 +106,7 @@ pub enum Per {
 pub struct Block {
     /// Part of the body.
     pub per: Per,
-    /// How many numbers for each: of the body, of one role, of one joint.
+    /// Number of values for each part: the body, a role, a joint.
     pub count: usize,
 }
 
@@ -116,7 +116,7 @@ impl Block {
         Self { per, count }
     }
 
-    /// How many numbers it has.
+    /// Number of values of the block.
     pub const fn size(self) -> usize {
         match self.per {
             Per::Body | Per::Length | Per::Width => self.count,
@@ -151,15 +151,16 @@ pub struct TermSpec {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointMirror {
-    /// As the joint's position does: it takes the joint's sign.
+    /// Like the joint's position: it takes the joint's sign.
     Position,
-    /// As the joint's position does, and once more: what an axis has forward and up.
+    /// Like the joint's position with another change of sign: components of an axis forward and up.
     Opposite,
-    /// Not at all.
+    /// No change.
     Even,
-    /// It changes its sign: what points to the left.
+    /// A change of sign: a component to the left.
     Odd,
-    /// A lower limit, which the number that follows limits from above: they change places where positions change their sign.
+    /// A lower limit. The next number is the upper limit: they change places where positions change
+    /// their sign.
     Lower,
     /// An upper limit, after the lower one.
     Upper,
@@ -171,7 +172,7 @@ impl TermSpec {
         Self { kind, units, description, source: TermSource::Measured, magnitude: 1.0, blocks: &[], joint_mirror: &[] }
     }
 
-    /// A term that is computed from what sensors give.
+    /// A term that is computed from sensor readings.
     pub const fn from_source(self, source: TermSource) -> Self {
         Self { source, ..self }
     }
@@ -186,7 +187,7 @@ impl TermSpec {
         Self { blocks, ..self }
     }
 
-    /// A term with several numbers of each joint, which change so in a mirror.
+    /// A term with several numbers of each joint, which change in this way.
     pub const fn with_joint_mirror(self, joint_mirror: &'static [JointMirror]) -> Self {
         Self { joint_mirror, ..self }
     }
@@ -194,7 +195,7 @@ impl TermSpec {
     /// Whether a term of this kind may have `size` numbers in a batch of these slots.
     ///
     /// # Errors
-    /// How many numbers it would have.
+    /// The number of values that it would have.
     pub(super) fn check_size(&self, size: usize, slots: &BatchSlots) -> Result<(), String> {
         let (joints, feet) = (slots.joints.len(), slots.feet.len());
         let blocks: usize = self.blocks.iter().map(|block| block.size()).sum();
@@ -216,7 +217,8 @@ impl TermSpec {
         self.blocks.iter().any(|block| matches!(block.per, Per::Role | Per::Joint))
     }
 
-    /// The mirror image of `size` numbers in a batch of `joints` slots: of each, which number takes its place and with which sign.
+    /// The mirror image of `size` numbers in a batch of `joints` slots: the number that takes the
+    /// place of each, and its sign.
     pub(crate) fn mirror(
         &self,
         size: usize,
