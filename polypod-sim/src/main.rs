@@ -18,7 +18,7 @@ fn main() -> ExitCode {
         .init();
     match Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
-        // whoever reads the output has seen enough
+        // the reader of the output has closed it
         Err(error) if error.downcast_ref().is_some_and(|e: &std::io::Error| e.kind() == BrokenPipe) => {
             ExitCode::SUCCESS
         }

@@ -23,7 +23,7 @@ const MAX_NETWORK: u64 = 1 << 30;
 /// Largest observation or action of a policy, equal to `polypod.runs.manifest.MAX_LAYER`.
 const MAX_LAYER: usize = 65536;
 
-/// Most states of a network: those of an LSTM are two.
+/// Largest number of states of a network; an LSTM has two.
 const MAX_STATES: usize = 8;
 
 /// A policy could not be read, or does not fit a simulation.
@@ -74,7 +74,7 @@ pub struct PolicyManifest {
 pub struct TermLayout {
     /// Its name.
     pub term: String,
-    /// How many numbers.
+    /// Number of values of the term.
     pub size: usize,
 }
 
@@ -96,7 +96,7 @@ pub struct Policy {
     file: PathBuf,
     network: Arc<TypedRunnableModel>,
     num_envs: usize,
-    /// The states, in the order of the manifest.
+    /// States of the network, in the order of the manifest.
     memory: Vec<Tensor>,
 }
 
@@ -177,8 +177,8 @@ impl Policy {
     /// Reads `policy.onnx` and the manifest next to it, for batches of `num_envs`.
     ///
     /// # Errors
-    /// A file is missing or broken, the graph is not the one that was exported with the manifest, or it does not take and give
-    /// what the manifest says.
+    /// A file is missing or broken, the graph is not the one that was exported with the manifest,
+    /// or its inputs and outputs are not those of the manifest.
     pub fn load(file: &Path, num_envs: usize) -> Result<Self, PolicyError> {
         let manifest = PolicyManifest::beside(file)?;
         let graph = polypod::files::read_up_to(file, MAX_NETWORK).map_err(|error| PolicyError {
@@ -193,7 +193,8 @@ impl Policy {
     /// Takes the bytes of a graph, for batches of `num_envs`. Errors name `file`.
     ///
     /// # Errors
-    /// The graph is not the one that was exported with the manifest, or does not take and give what the manifest says.
+    /// The graph is not the one that was exported with the manifest, or its inputs and outputs are
+    /// not those of the manifest.
     pub fn from_bytes(
         manifest: PolicyManifest,
         mut graph: &[u8],
@@ -220,7 +221,7 @@ impl Policy {
         Ok(Self { manifest, file: file.to_path_buf(), network, num_envs, memory })
     }
 
-    /// Forgets what it has seen of the envs of the mask, `[num_envs]`; none: of all.
+    /// Forgets the past of the envs of the mask, `[num_envs]`; None: of all envs.
     ///
     /// # Errors
     /// A mask of another length.
@@ -254,7 +255,7 @@ impl Policy {
         PolicyError { file: self.file.clone(), element: "graph".into(), problem, remedy }
     }
 
-    /// Whether the simulation observes what the policy was trained on.
+    /// Checks that the simulation observes the policy's inputs.
     ///
     /// # Errors
     /// Terms, sizes or the control step differ.
@@ -335,11 +336,12 @@ pub fn sha256(bytes: &[u8]) -> String {
 }
 
 thread_local! {
-    /// Whether panics of this thread are not to be printed.
+    /// Whether panics of this thread are silent.
     static QUIET: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Makes a panic an error and prints nothing. tract panics at graphs that lack what they name, or whose tensors fit into no memory.
+/// Turns a panic into an error and prints nothing. tract panics at graphs that lack what they name,
+/// or whose tensors fit into no memory.
 fn quietly<T>(f: impl FnOnce() -> TractResult<T>) -> TractResult<T> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {

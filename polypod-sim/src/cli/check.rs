@@ -12,7 +12,7 @@ use polypod::robot::{LoadOptions, check};
 pub(super) struct Check {
     /// The URDF file.
     file: PathBuf,
-    /// Where a ROS package of `package://` names lies; may be given several times.
+    /// Folder of a ROS package in `package://` names; may be given several times.
     #[arg(long = "package-dir", value_name = "NAME=DIR", value_parser = package_dir)]
     package_dirs: Vec<(String, PathBuf)>,
     /// Holds a joint at a position, rad or m; may be given several times.

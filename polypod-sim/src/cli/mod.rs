@@ -15,7 +15,7 @@ use polypod::config::Library;
 
 /// Headless simulator of many different legged robots.
 ///
-/// Exit codes: 0 success, 2 bad input, 1 anything else, such as a replay that gives something else.
+/// Exit codes: 0 success, 2 bad input, 1 any other failure, such as a replay with other bits.
 #[derive(Parser)]
 #[command(version, about, long_about = None)]
 pub struct Cli {
@@ -27,11 +27,11 @@ pub struct Cli {
 enum Command {
     /// Steps a task with random or zero actions and reports speed and statistics per robot.
     Rollout(rollout::Rollout),
-    /// Lets an exported policy (`polypod export`) walk and reports how it follows its commands.
+    /// Lets an exported policy (`polypod export`) walk and reports its tracking errors.
     Play(play::Play),
     /// Prints a robot's articulation: links, joints, roles, actuators, contact bodies.
     Inspect(inspect::Inspect),
-    /// Prints what a URDF file is read as, with every warning; it needs no config.
+    /// Prints how a URDF file is read, with every warning; it needs no config.
     Check(check::Check),
     /// Steps a dumped broken state again and says whether it breaks with the same bits.
     Replay(replay::Replay),
@@ -45,7 +45,7 @@ impl Cli {
     /// Runs the command.
     ///
     /// # Errors
-    /// Bad input, as [`Error`] or [`PolicyError`](crate::policy::PolicyError); anything else that went wrong.
+    /// Bad input, as [`Error`] or [`PolicyError`](crate::policy::PolicyError); any other failure.
     pub fn run(self) -> anyhow::Result<()> {
         match self.command {
             Command::Rollout(rollout) => rollout.run(),

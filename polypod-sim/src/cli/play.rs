@@ -23,16 +23,18 @@ pub(super) struct Play {
     /// Robots, separated by commas; those that the policy was trained on by default.
     #[arg(long, visible_alias = "robot", value_delimiter = ',')]
     robots: Option<Vec<String>>,
-    /// Name, alias or path of the task; by default the policy's own. Its Play variant is taken: no noise, no pushes.
+    /// Name, alias or path of the task; by default the policy's own. Its Play variant is used: no
+    /// noise, no pushes.
     #[arg(long)]
     task: Option<String>,
     /// Number of envs; 16 per robot by default.
     #[arg(long)]
     num_envs: Option<usize>,
-    /// Control steps; an env whose episode ends before is left where it is.
+    /// Control steps; an env whose episode ends earlier stays where it is.
     #[arg(long, default_value_t = 1000)]
     steps: usize,
-    /// Forward and left velocity (m/s) and yaw rate (rad/s) for all envs; drawn as the task draws them by default.
+    /// Forward and left velocity (m/s) and yaw rate (rad/s) for all envs; by default sampled as in
+    /// the task.
     #[arg(long, num_args = 3, value_names = ["VX", "VY", "WZ"], allow_negative_numbers = true)]
     command: Option<Vec<f32>>,
     /// Print JSON.
@@ -68,17 +70,17 @@ struct Track {
 struct Played {
     robot: String,
     envs: usize,
-    /// m/s, between commanded and actual planar velocity.
+    /// Error between commanded and actual planar velocity, m/s.
     error_vel_xy: f64,
-    /// rad/s, between commanded and actual yaw rate.
+    /// Error between commanded and actual yaw rate, rad/s.
     error_vel_yaw: f64,
-    /// m/s, the planar velocity error of a robot that stands still.
+    /// Planar velocity error of a robot that stands still, m/s.
     still_error_vel_xy: f64,
-    /// rad/s, the yaw rate error of a robot that stands still.
+    /// Yaw rate error of a robot that stands still, rad/s.
     still_error_vel_yaw: f64,
-    /// Episodes that ended in failure.
+    /// Number of episodes that ended in failure.
     falls: usize,
-    /// Way of the base over the ground, m.
+    /// Distance of the base over the ground, m.
     distance: f64,
     /// Length of an episode, s.
     episode_length_s: f64,
@@ -90,7 +92,7 @@ impl Play {
         let manifest = PolicyManifest::beside(&self.policy)?;
         let library = Library::new(Vec::new());
         let task = library.play_task(self.task.as_ref().unwrap_or(&manifest.task))?;
-        // a training may have changed events; what is asked for here comes last
+        // a training may have changed events; the arguments of this command come last
         let disturbances = library.task(&task, &manifest.overrides)?.config.disturbances();
         let quiet = disturbances.iter().map(|key| format!("{key}=false"));
         let robots = self.robots.clone().unwrap_or_else(|| manifest.robots.clone());
@@ -189,7 +191,7 @@ impl Play {
     }
 }
 
-/// Where each env's robot is over the ground.
+/// Calls `f` with the position of each env's robot over the ground.
 fn visit(sim: &mut Sim, mut f: impl FnMut(usize, [f32; 2])) {
     let world = sim.world_mut();
     for (env, pose) in world.query::<(&EnvId, &BasePose)>().iter(world) {

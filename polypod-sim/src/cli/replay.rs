@@ -15,7 +15,8 @@ use polypod::engine::{Motion, Quantity, Violation};
 pub(super) struct Replay {
     /// The dump, `broken_*.polypod`.
     file: PathBuf,
-    /// Instruction set: avx512, avx2, neon or portable; by default the fastest one, or what POLYPOD_SIMD says.
+    /// Instruction set: avx512, avx2, neon or portable; by default the fastest one, or the value of
+    /// POLYPOD_SIMD.
     #[arg(long)]
     simd: Option<String>,
     /// Print the state after every physics step too.
@@ -100,7 +101,7 @@ fn describe(violation: &Violation, replayed: &Replayed) -> String {
     format!("{of} is {value} {unit} (limit {limit})")
 }
 
-/// The robot's numbers; with a dump what its actuators are asked for, too.
+/// Prints the robot's numbers; with a dump its actuators' inputs, too.
 fn print(out: &mut impl Write, motion: &Motion, replayed: &Replayed, dump: Option<&Dump>) -> std::io::Result<()> {
     // numbers that ran away would spoil the columns
     let number = |x: &f32| if x.abs() < 1e5 || !x.is_finite() { format!("{x:>12.6}") } else { format!("{x:>12.5e}") };

@@ -41,18 +41,18 @@ const RANDOM_S: f64 = 55.0;
 const PASSIVE_S: f64 = 2.0;
 /// ... and the default pose held, until nothing is in the ground.
 const HOLD_S: f64 = 3.0;
-/// How long a target stands, s.
+/// Time that a target holds, s.
 const TARGET_S: f64 = 0.25;
-/// Number of checks of the state while a target stands.
+/// Number of checks of the state while a target holds.
 const OBSERVATIONS: usize = 10;
-/// Limits of joints without any, rad or m.
+/// Limits of joints that have none, rad or m.
 const UNLIMITED: f64 = 3.0;
-/// How far a robot at rest may be in the ground, m.
+/// Largest depth of a robot at rest in the ground, m.
 const MAX_DEPTH: f64 = 0.01;
-/// Energy that contacts may add to passive joints, as a height of the whole robot, m: what is pushed out of a
-/// penetration rises.
+/// Energy that contacts may add to passive joints, as a height of the whole robot, m: a body that
+/// is pushed out of a penetration rises.
 const MAX_LIFT: f64 = 0.01;
-/// How far a joint may be past a limit, rad or m.
+/// Largest distance of a joint beyond a limit, rad or m.
 const MAX_OVER_LIMIT: f64 = 0.02;
 
 /// The worst of a robot's envs.
@@ -66,7 +66,7 @@ struct Worst {
     speed: f64,
 }
 
-/// Its robots are taken where none are named.
+/// Task whose robots are used by default.
 const TASK: &str = "velocity_flat";
 
 impl Soak {
@@ -88,7 +88,7 @@ impl Soak {
             let remedy = format!("pass at least {least}, and at least one robot");
             return Err(Error::Argument { element: "num_envs", problem, remedy }.into());
         }
-        // before anything is printed
+        // check the options before anything is printed
         SimulationOptions { dt: self.dt, threads: self.threads, ..SimulationOptions::new("", self.num_envs) }
             .validate()?;
         writeln!(
@@ -195,7 +195,7 @@ impl Soak {
 }
 
 impl Worst {
-    /// Counts envs whose state is broken and restarts them; notes speeds and violated limits.
+    /// Counts envs whose state is broken and restarts them; records speeds and violated limits.
     fn look(&mut self, sim: &mut Simulation) -> anyhow::Result<()> {
         let (qpos, qvel) = (sim.qpos(), sim.qvel());
         let (nq, nv) = (sim.nq(), sim.nv());
@@ -221,22 +221,23 @@ impl Worst {
     }
 }
 
-/// Energy that passive joints win: in all, and by contacts: the work of their forces and the lift of resolved depths.
+/// Energy that passive joints gain: in total, and from contacts as the work of their forces and the
+/// lift of resolved depths.
 ///
-/// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and after it. They are
-/// what velocities differ by from those of the same step with nothing to touch: `p = M (v1 - v)`. The rest of what is
-/// won is the integrator's, which is of the first order; a fast joint shows it.
+/// The work of impulses `p` over a step is `p . (v0 + v1) / 2`, with the velocities before and
+/// after it. `p = M (v1 - v)` is the difference to the velocities of the same step without
+/// contacts. The rest of the gain is the integrator's, of first order; a fast joint shows it.
 struct Energy {
     dt: f64,
     weight: f64,
-    /// The same robots with nothing to touch.
+    /// The same robots without contacts.
     alone: Simulation,
-    /// J, `[envs]`.
+    /// Total energy, J, `[envs]`.
     total: Vec<Won>,
     contacts: Vec<Won>,
 }
 
-/// An energy and the least that it was, J.
+/// An energy and its minimum so far, J.
 #[derive(Clone)]
 struct Won {
     energy: f64,
@@ -244,7 +245,7 @@ struct Won {
 }
 
 impl Won {
-    /// Adds a change: what was won since the least.
+    /// Adds a change; returns the gain since the minimum.
     fn add(&mut self, change: f64) -> f64 {
         self.energy += change;
         self.least = self.least.min(self.energy);
@@ -294,7 +295,7 @@ impl Energy {
         Ok(())
     }
 
-    /// Where a step leads from a position `[nq]` at a velocity `[nv]`, if nothing is pushed.
+    /// Result of a step from a position `[nq]` at a velocity `[nv]` without forces.
     fn moved(&self, qpos: &[f64], qvel: &[f64]) -> Vec<f64> {
         let mut moved = qpos.to_vec();
         for (x, v) in moved[..3].iter_mut().zip(qvel) {
