@@ -1,4 +1,5 @@
-//! Takes the docstrings out of `python/polypod/_core.pyi`, for `docstring!`: what editors show and what `help` shows is one text.
+//! Reads the docstrings of `python/polypod/_core.pyi` for `docstring!`, so that editors and `help`
+//! show one text.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -25,7 +26,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Names, such as `VecSim.step`, and docstrings without their indentation. The module's own is `_core`.
+/// Names, such as `VecSim.step`, and docstrings without their indentation. The module's docstring
+/// has the name `_core`.
 fn docstrings(stub: &str) -> Vec<(String, String)> {
     let mut found: Vec<(String, String)> = Vec::new();
     let (mut class, mut name) = (String::new(), Some("_core".to_owned()));

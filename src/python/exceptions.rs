@@ -76,15 +76,16 @@ pub(super) fn to_python(py: Python<'_>, error: Error) -> PyErr {
     let class = match &error {
         Error::Config(error) if error.kind == ConfigErrorKind::UnknownName => &all.unknown_name,
         Error::Robot(_) => &all.robot,
-        // systems are the program's: nothing that a user can change
+        // systems are the program's: a user can change nothing
         Error::System { .. } => &all.polypod,
         _ => &all.config,
     };
     PyErr::from_type(class.bind(py).clone(), error.to_string())
 }
 
-/// A whole number of any size; beyond 128 bits the nearest of those. All arguments that count something are read by this function or
-/// one of the next two, and by [`unsigned`], so that a number out of range is a `ConfigError` that names the argument.
+/// A whole number of any size; beyond 128 bits the nearest one. This function, the next two and
+/// [`unsigned`] read all arguments that count, so that a number out of range is a `ConfigError`
+/// that names the argument.
 pub(super) fn whole(value: &Bound<'_, PyAny>) -> PyResult<i128> {
     if value.is_instance_of::<PyBool>() {
         return Err(type_error("'bool' object cannot be interpreted as an integer".into()));
@@ -97,7 +98,7 @@ pub(super) fn whole(value: &Bound<'_, PyAny>) -> PyResult<i128> {
     })
 }
 
-/// The same or `None`.
+/// Like [`whole`], or `None`.
 pub(super) fn optional_whole(value: &Bound<'_, PyAny>) -> PyResult<Option<i128>> {
     if value.is_none() { Ok(None) } else { whole(value).map(Some) }
 }
@@ -111,7 +112,7 @@ pub(super) fn optional_pair(value: &Bound<'_, PyAny>) -> PyResult<Option<(i128, 
     Ok(Some((whole(&first)?, whole(&second)?)))
 }
 
-/// A number as Rust counts, or a `ConfigError` that names the argument.
+/// A number of the type `T`, or a `ConfigError` that names the argument.
 pub(super) fn unsigned<T: TryFrom<i128>>(py: Python<'_>, element: &'static str, value: i128) -> PyResult<T> {
     T::try_from(value).map_err(|_| {
         let remedy = if value < 0 { "pass no negative number" } else { "pass a smaller number" };
@@ -119,14 +120,14 @@ pub(super) fn unsigned<T: TryFrom<i128>>(py: Python<'_>, element: &'static str, 
     })
 }
 
-/// A simulation, and what it panicked with if it did: it may be half changed and is of no further use.
+/// A simulation, and its panic if there was one: it may be half changed and is of no further use.
 pub(super) struct Guarded<S> {
     sim: S,
     fault: OnceLock<String>,
 }
 
 impl<S: Send + Sync> Guarded<S> {
-    /// Makes one without the interpreter's lock.
+    /// Makes the simulation without the interpreter's lock.
     pub(super) fn new<E: Send>(
         py: Python<'_>,
         make: impl FnOnce() -> Result<S, E> + Send,
@@ -143,14 +144,16 @@ impl<S: Send + Sync> Guarded<S> {
         }
     }
 
-    /// Changes it without the interpreter's lock. A panic is a fault of polypod: it becomes an exception, as does any use after it.
+    /// Changes the simulation without the interpreter's lock. A panic is a fault of polypod: it
+    /// becomes an exception, as does any later use.
     pub(super) fn run<T: Send>(&mut self, py: Python<'_>, f: impl FnOnce(&mut S) -> T + Send) -> PyResult<T> {
         self.check(py)?;
         let Self { sim, fault } = self;
         py.detach(|| caught(|| f(sim))).map_err(|message| fault_exception(py, fault.get_or_init(|| message)))
     }
 
-    /// Changes it within [`Guarded::run`] or [`Guarded::look`] of something else, whose guard catches a panic.
+    /// Changes the simulation within [`Guarded::run`] or [`Guarded::look`] of another one, whose
+    /// guard catches a panic.
     ///
     /// # Errors
     /// Any error of `f`.
@@ -158,7 +161,7 @@ impl<S: Send + Sync> Guarded<S> {
         f(&mut self.sim)
     }
 
-    /// Computes something of it in the same way.
+    /// Computes from the simulation without the interpreter's lock, like [`Guarded::run`].
     pub(super) fn look<T: Send>(&self, py: Python<'_>, f: impl FnOnce(&S) -> T + Send) -> PyResult<T> {
         self.check(py)?;
         let Self { sim, fault } = self;
@@ -166,7 +169,7 @@ impl<S: Send + Sync> Guarded<S> {
     }
 }
 
-/// For sizes, names and other things that are there; what is computed goes through [`Guarded::look`].
+/// Access to sizes, names and other stored data; computations go through [`Guarded::look`].
 impl<S> Deref for Guarded<S> {
     type Target = S;
 
@@ -175,8 +178,8 @@ impl<S> Deref for Guarded<S> {
     }
 }
 
-/// Works without the interpreter's lock. A panic becomes an exception. A signal that came meanwhile, such as Ctrl-C, is raised here:
-/// this work may take seconds, and what follows it may be long, too.
+/// Works without the interpreter's lock. A panic becomes an exception. A signal in the meantime,
+/// such as Ctrl-C, is raised here: this work may take seconds, and so may the next.
 pub(super) fn guarded<T: Send>(py: Python<'_>, f: impl FnOnce() -> T + Send) -> PyResult<T> {
     let done = py.detach(|| caught(f)).map_err(|fault| fault_exception(py, &fault))?;
     py.check_signals()?;
@@ -191,7 +194,7 @@ fn caught<T>(f: impl FnOnce() -> T) -> Result<T, String> {
     })
 }
 
-/// The exception of what should never happen.
+/// The exception of an internal fault.
 pub(super) fn fault_exception(py: Python<'_>, fault: &str) -> PyErr {
     match exceptions(py) {
         Ok(all) => {

@@ -26,7 +26,7 @@ pub(super) struct Learner {
 /// Exception of a call into Python while the learner was at work.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
-/// Peers that are asked through a Python object. Only its calls hold the interpreter.
+/// Peers behind a Python object. Only their calls hold the interpreter.
 struct PythonPeers {
     object: Py<PyAny>,
     raised: Raised,
@@ -286,7 +286,7 @@ impl Learner {
     }
 }
 
-/// The array of this name, a new one where there is none.
+/// The array of this name, or a new one.
 fn array_of<'py, T: Element + Default>(
     arrays: &Bound<'py, PyDict>,
     name: &str,

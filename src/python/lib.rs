@@ -1,4 +1,5 @@
-//! The PyO3 boundary: `polypod._core`. Thin; what it says to users stands in `python/polypod/_core.pyi`.
+//! The PyO3 boundary: `polypod._core`. It is thin; its documentation is in
+//! `python/polypod/_core.pyi`.
 
 /// The docstring of a member of `polypod._core`, from its stub.
 macro_rules! docstring {
@@ -236,8 +237,9 @@ fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     Ok(dict)
 }
 
-/// Has NumPy's C interface loaded while nothing else happens. The crate `numpy` loads it with the first array, and panics where that
-/// fails, as it does after a Ctrl-C; the first array of a simulation comes after seconds of work.
+/// Loads NumPy's C interface ahead of time. The crate `numpy` loads it with the first array, and
+/// panics where that fails, as it does after a Ctrl-C; the first array of a simulation comes after
+/// seconds of work.
 fn load_numpy(py: Python<'_>) -> PyResult<()> {
     py.import("numpy")?;
     py.check_signals()?;

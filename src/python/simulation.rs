@@ -49,7 +49,7 @@ fn numbers(name: &str, value: &Bound<'_, PyAny>, shapes: &[Vec<usize>]) -> PyRes
     Ok(array.try_readonly()?.as_slice()?.to_vec())
 }
 
-/// The envs that a call is about.
+/// The envs of a call.
 fn env_indices(value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Vec<usize>>> {
     let Some(value) = value else {
         return Ok(None);
@@ -69,7 +69,7 @@ fn env_indices(value: Option<&Bound<'_, PyAny>>) -> PyResult<Option<Vec<usize>>>
     ids.into_iter().map(index).collect::<PyResult<Vec<usize>>>().map(Some)
 }
 
-/// A link as Python names it.
+/// A link by its name or index in Python.
 enum Link {
     Name(String),
     Index(usize),
@@ -166,7 +166,7 @@ fn numbers_of_any_length(name: &str, value: &Bound<'_, PyAny>) -> PyResult<Vec<f
     numbers(name, value, &[vec![], vec![length]])
 }
 
-// the signature below must say them in figures: Python prints names as `...`
+// the signature below must hold figures: Python prints names as `...`
 const _: () = assert!(SWEEPS == 4 && AVIAN_SUBSTEPS == 8 && EARTH_GRAVITY == 9.81);
 
 #[pymethods]
@@ -414,7 +414,7 @@ impl Simulation {
         let (n, nv, joints) = (self.sim.num_envs(), self.sim.nv(), self.sim.num_joints());
         let given = numbers("torque", &torque, &[vec![joints], vec![n, joints], vec![nv], vec![n, nv]])?;
         let width: usize = torque.py().import("numpy")?.call_method1("shape", (&torque,))?.get_item(-1)?.extract()?;
-        // whole rows leave no doubt about what is given
+        // whole rows make the meaning of the values clear
         let mut force = Vec::with_capacity(n * nv);
         for env in 0..n {
             let at = if given.len() == width { 0 } else { env * width };

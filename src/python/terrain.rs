@@ -27,7 +27,7 @@ pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) 
     })
 }
 
-/// The heights, triangles and tiles of a task's ground; none of a plane.
+/// The heights, triangles and tiles of a task's ground; None for a plane.
 pub(super) fn entry<'py>(
     py: Python<'py>,
     config: &TaskConfig,

@@ -26,7 +26,7 @@ use polypod::{Autoreset, Sim, SimOptions};
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
-    /// Two that alternate, so that a learner may store the present one after the next step.
+    /// Two arrays in turn, so that a learner may store the present one after the next step.
     observations: [Py<PyArray2<f32>>; 2],
     current: usize,
     reward: Py<PyArray1<f32>>,
@@ -44,12 +44,12 @@ pub(super) struct VecSim {
     arrays: Arrays,
 }
 
-/// A description that was written as JSON.
+/// JSON of a description.
 pub(super) fn written(py: Python<'_>, json: serde_json::Result<String>) -> PyResult<String> {
     json.map_err(|error| fault_exception(py, &format!("a description cannot be written as JSON: {error}")))
 }
 
-/// Numbers from which on a copy is shared out among the threads.
+/// Size from which threads share a copy.
 const LARGE: usize = 1 << 16;
 
 fn fill<T: Element + Copy + Send + Sync, D: numpy::ndarray::Dimension>(
@@ -111,7 +111,7 @@ impl VecSim {
         &self.sim
     }
 
-    /// Changes the simulation, and shows Python what came of it.
+    /// Changes the simulation, and updates the arrays that Python sees.
     pub(super) fn run<T: Send>(&mut self, py: Python<'_>, f: impl FnOnce(&mut Sim) -> T + Send) -> PyResult<T> {
         let result = self.sim.run(py, f)?;
         self.publish(py)?;
