@@ -1,4 +1,5 @@
-//! Compares what a robot's config and its URDF say of one thing. Errors name the config's file, the joint and its range.
+//! Comparison of a robot's config with its URDF. Errors name the config's file, the joint and its
+//! range.
 
 use crate::bounds::Shown;
 use crate::config::{ConfigError, JointPositionMode, LoadedRobot};
@@ -12,7 +13,7 @@ struct Limits {
 }
 
 impl Limits {
-    /// Positions are often limits that were rounded to six digits.
+    /// Rounding of positions, rad: limits are often written with six digits.
     const ROUNDING: f64 = 1e-5;
 
     fn of([lower, upper]: [f64; 2], sign: f64) -> Self {
@@ -25,7 +26,7 @@ impl Limits {
         Self { lower, upper }
     }
 
-    /// Whether a range of positions has something in common with them.
+    /// Whether a range of positions overlaps the limits.
     fn meet(self, [low, high]: [f64; 2]) -> bool {
         high >= self.lower - Self::ROUNDING && low <= self.upper + Self::ROUNDING
     }
@@ -56,7 +57,7 @@ pub(crate) fn check(
 /// Narrows the limits of joints to those of `[joint_limits]`, which are in the direction of the slot.
 ///
 /// # Errors
-/// Limits of a joint that the robot lacks, and limits that have nothing in common with those of the URDF.
+/// Limits of a joint that the robot lacks, and limits that do not overlap those of the URDF.
 pub(crate) fn narrow_limits(loaded: &LoadedRobot, model: &mut Model, roles: &Roles) -> Result<(), ConfigError> {
     for (name, &own) in &loaded.config.joint_limits {
         let element = || format!("joint_limits.{name}");

@@ -1,4 +1,4 @@
-//! The dense arrays between the simulator and a learner: all that Python sees.
+//! The dense arrays between the simulator and a learner, which Python sees.
 
 use std::ops::Range;
 
@@ -31,7 +31,7 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// All zero.
+    /// Arrays of zeros.
     pub fn new(num_envs: usize, num_obs: usize, num_actions: usize) -> Self {
         Self {
             num_envs,
@@ -47,7 +47,7 @@ impl Batch {
         }
     }
 
-    /// Adds the rows of another batch.
+    /// Appends the rows of another batch.
     pub(crate) fn append(&mut self, other: Self) {
         self.num_envs += other.num_envs;
         self.actions.extend(other.actions);
@@ -59,7 +59,7 @@ impl Batch {
         self.has_final.extend(other.has_final);
     }
 
-    /// Some of its rows, if it has them and its arrays have as many rows as it says.
+    /// Some of its rows; None if it lacks them or its arrays have another number of rows.
     pub(crate) fn rows(&self, rows: Range<usize>) -> Option<Self> {
         let wide = |data: &[f32], width: usize| {
             let is_whole = self.num_envs.checked_mul(width) == Some(data.len());

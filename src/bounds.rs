@@ -1,19 +1,21 @@
-//! Bounds of what a simulation takes: beyond them lies nothing but a mistake.
+//! Bounds of a simulation's inputs: beyond them lie mistakes alone.
 
 use std::fmt;
 
-/// Most envs of a simulation: 2^24. A pack, an env and a row keep their numbers in 32 bits, and 2^24 envs of the smallest robots take
-/// tens of gigabytes.
+/// Largest number of envs of a simulation: 2^24. A pack, an env and a row keep their numbers in 32
+/// bits, and 2^24 envs of the smallest robots take tens of gigabytes.
 pub const MAX_ENVS: usize = 1 << 24;
-/// Most threads of a simulation: more than any machine has cores. Each takes about 2 MB.
+/// Largest number of threads of a simulation: more than any machine has cores. Each takes about 2
+/// MB.
 pub const MAX_THREADS: usize = 1024;
-/// Most physics steps of one call: four months of simulated time at 5 ms.
+/// Largest number of physics steps of one call: four months of simulated time at 5 ms.
 pub const MAX_STEPS: usize = (1 << 31) - 1;
 /// Largest magnitude of an action. Policies act within about 10; rewards square differences of actions in single precision.
 pub const MAX_ACTION: f32 = 1e6;
 /// Largest magnitude of a command, m/s or rad/s.
 pub const MAX_COMMAND: f64 = 1e3;
-/// Largest component of a push, m/s: pushes of trainings are about 1, and one of 100 is no push any more.
+/// Largest component of a push, m/s: pushes of trainings are about 1, and one of 100 is a
+/// collision.
 pub const MAX_PUSH: f32 = 100.0;
 /// Largest magnitude of any number of a config, in its unit. Beyond it products of two leave single precision.
 pub const LARGEST: f64 = 1e9;
@@ -23,17 +25,19 @@ pub const MAX_DT: f64 = 1.0;
 pub const MAX_GRAVITY: f64 = 100.0;
 /// Shortest physics step, s: far below what contacts need, far above where single precision loses the change of a position.
 pub const MIN_DT: f64 = 1e-6;
-/// Most physics steps of a control step; usual are 1 to 20.
+/// Largest number of physics steps of a control step; usual are 1 to 20.
 pub const MAX_DECIMATION: u32 = 1000;
-/// Longest delay of a joint's target, physics steps; usual are 0 to 10. Every env keeps as many targets.
+/// Longest delay of a joint's target, physics steps; usual are 0 to 10. Every env stores that many
+/// targets.
 pub const MAX_DELAY: u32 = 1000;
-/// Most control steps that an observation term remembers; usual are 1 to 20.
+/// Largest number of control steps that an observation term remembers; usual are 1 to 20.
 pub const MAX_HISTORY: u32 = 100;
-/// Most materials that a robot may be drawn from; 64 is usual.
+/// Largest number of materials from which a robot's is sampled; 64 is usual.
 pub const MAX_BUCKETS: u32 = 1_000_000;
-/// Most sweeps of the articulated engine's solver; contacts no longer change after some hundred.
+/// Largest number of sweeps of the articulated engine's solver; contacts no longer change after
+/// some hundred.
 pub const MAX_SWEEPS: u32 = 10_000;
-/// Most substeps of Avian's engine; usual are 1 to 20.
+/// Largest number of substeps of Avian's engine; usual are 1 to 20.
 pub const MAX_SUBSTEPS: u32 = 1000;
 
 /// Bytes that an env of a task takes: 4 to 12 KiB, by robots and task.
@@ -81,7 +85,7 @@ pub(crate) fn with_short_numbers(text: String) -> String {
         let (before, from) = rest.split_at(start);
         let (run, after) = from.split_at(from.find(|c| !is_part(c)).unwrap_or(from.len()));
         short.push_str(before);
-        // a part of a name stays
+        // digits within a name stay
         let is_number = !before.ends_with(|c: char| c.is_alphanumeric() || matches!(c, '_' | '/'));
         match run.parse() {
             Ok(number) if is_number && run.len() > LONGEST => short.push_str(&Shown(number).to_string()),
@@ -92,9 +96,10 @@ pub(crate) fn with_short_numbers(text: String) -> String {
     short + rest
 }
 
-/// Whether there may be `num_envs` envs of about `bytes_per_env` bytes: problem and remedy if not.
+/// Checks a number of envs of about `bytes_per_env` bytes; the error holds problem and remedy.
 ///
-/// The allocator is asked for the whole once, ahead of the many small pieces, whose failure would end the process.
+/// One request for the whole memory comes before the many small pieces, whose failure would end the
+/// process.
 pub(crate) fn check_num_envs(num_envs: usize, bytes_per_env: usize) -> Result<(), (String, String)> {
     if num_envs > MAX_ENVS {
         return Err((format!("{num_envs} envs"), format!("ask for at most {MAX_ENVS}")));

@@ -1,10 +1,11 @@
-//! Every component and tag of the simulated world.
+//! Components and tags of the simulated world.
 //!
 //! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself ([`Env`]), its robot
 //! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`], [`HeightScan`]). Entities of a kind and a morphology are a
 //! [block](crate::blocks): systems read each of their components as one slice, in the order of their envs.
 //!
-//! A joint's state is a number of [`JointState`], its targets are in [`JointTargets`], and what it did is in [`JointEffort`].
+//! Positions and velocities of joints are in [`JointState`], their targets in [`JointTargets`], and
+//! their efforts and accelerations in [`JointEffort`].
 
 use bevy_ecs::prelude::*;
 use rand_pcg::Pcg32;
@@ -15,15 +16,15 @@ use smallvec::{SmallVec, smallvec};
 use crate::dynamics::{Parameters, SharedArray};
 use crate::hash::fnv1a;
 
-/// One number per joint of a robot, in physical order; in place for up to 12 joints.
+/// One number per joint of a robot, in physical order; inline for up to 12 joints.
 pub type PerJoint = SmallVec<[f32; 12]>;
 /// Inline capacity of lists of contact bodies: the largest number in a bundled robot.
 const BODIES: usize = 19;
 /// Inline capacity of lists of physics steps: the decimation of the bundled tasks.
 const PHYSICS_STEPS: usize = 4;
-/// One number, or whatever it is, per foot; order of the morphology's feet. In place for up to 4 feet.
+/// One value per foot, in the order of the morphology's feet; inline for up to 4 feet.
 pub type PerFoot<T = f32> = SmallVec<[T; 4]>;
-/// One number per contact body of a robot; in place for those of the library.
+/// One number per contact body of a robot; inline for robots of the library.
 pub type PerBody = SmallVec<[f32; BODIES]>;
 
 /// Independent world that an entity belongs to, `0..num_envs`.
@@ -44,8 +45,9 @@ pub struct Robot;
 
 // ---------------------------------------------------------------------------------------------------------------- envs
 
-/// The env's only source of randomness. Its draws depend on the seed, the robot's name and the env's place among the
-/// envs of that robot: envs or robots that are added, before it or after it, change none of them.
+/// The env's only source of randomness. Its draws depend on the seed, the robot's name and the
+/// env's index among the envs of that robot. Other envs and robots in the batch change none of
+/// them.
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct EnvRng(Pcg32);
 
@@ -76,10 +78,11 @@ impl EnvRng {
         (high - low).mul_add(self.unit(), low)
     }
 
-    /// Adds to each number one that is uniform between two, in order.
+    /// Adds to each number, in order, a uniform one between two bounds.
     #[inline(always)]
     pub(crate) fn add_uniform(&mut self, [low, high]: [f32; 2], numbers: &mut [f32]) {
-        /// Pieces of a group that are drawn side by side: each draw of a piece waits for the one before.
+        /// Number of pieces of a group that are drawn side by side: each draw of a piece waits for
+        /// the one before.
         const PIECES: usize = 4;
         const PIECE: usize = 16;
         let (groups, rest) = numbers.as_chunks_mut::<{ PIECES * PIECE }>();
@@ -118,7 +121,7 @@ fn spread(mut x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// How far the episode is and how the last one ended.
+/// Progress of the episode, and the end of the last one.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Episode {
     /// Control steps that count towards the time-out: those since the reset, unless a caller has set another number.
@@ -129,8 +132,8 @@ pub struct Episode {
     pub terminated: bool,
     /// The episode ran out of time, in the present control step.
     pub truncated: bool,
-    /// Terms that ended it, as bits: that of the guard against broken states, then in the order of the task's terminations. None where a
-    /// caller ended it.
+    /// Terms that ended it, as bits: the guard against broken states, then the task's terminations
+    /// in their order. Zero where a caller ended it.
     pub causes: u32,
     /// The env must be reset before it goes on.
     pub needs_reset: bool,
@@ -138,7 +141,7 @@ pub struct Episode {
     pub invalid: bool,
     /// The logs have counted the episode.
     pub logged: bool,
-    /// It has just begun: no control step since the reset.
+    /// The episode has just begun: no control step since the reset.
     pub fresh: bool,
 }
 
@@ -149,7 +152,7 @@ impl Episode {
     }
 }
 
-/// The velocity command and what it is made from.
+/// The velocity command and its sources.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Command {
     /// Forward and left velocity (m/s) and yaw rate (rad/s), in the base frame.
@@ -158,7 +161,7 @@ pub struct Command {
     pub heading: f32,
     /// Whether the yaw rate follows the heading.
     pub holds_heading: bool,
-    /// Whether the robot is to stand still.
+    /// Whether the robot shall stand still.
     pub standing: bool,
     /// Seconds until the next command is sampled.
     pub time_left: f32,
@@ -166,7 +169,7 @@ pub struct Command {
     pub pinned: bool,
 }
 
-/// Where an env is on the ground.
+/// Place of an env on the ground.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnvOrigin {
     /// x and y of the env's origin in the world, m; zero where each env has separate ground and
@@ -187,7 +190,7 @@ pub struct EventTimers(pub SmallVec<[f32; 4]>);
 pub struct EpisodeSums {
     /// Weighted value of each reward term of the robot's set, times the step's length.
     pub terms: SmallVec<[f32; 16]>,
-    /// Total reward.
+    /// Sum of the rewards.
     pub reward: f32,
     /// Planar velocity error, m/s, summed over steps.
     pub error_vel_xy: f32,
@@ -208,7 +211,7 @@ pub struct EpisodeSums {
 /// Pose of the base link.
 #[derive(Component, Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct BasePose {
-    /// m: x and y relative to the env's origin, z in the world.
+    /// Position, m: x and y relative to the env's origin, z in the world.
     pub position: [f32; 3],
     /// Unit quaternion w, x, y, z.
     pub rotation: [f32; 4],
@@ -234,7 +237,7 @@ pub struct BaseVelocity {
     pub angular: [f32; 3],
 }
 
-/// Components of lists that have a number for each joint.
+/// Defines components of lists with a number for each joint.
 macro_rules! joint_lists {
     ($($(#[$about:meta])* $component:ident { $($(#[$doc:meta])* $list:ident,)* })*) => {
         $(
@@ -293,7 +296,7 @@ joint_lists! {
 /// Joint position targets, rad, physical order.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct JointTargets {
-    /// `history[age]`, age in control steps; 0 is the present one.
+    /// `history[age]`, age in control steps; 0 is the present control step's target.
     pub history: SmallVec<[PerJoint; 2]>,
     /// No action has been taken since the reset: the first one fills the whole history.
     pub fresh: bool,
@@ -339,10 +342,12 @@ pub struct ConstraintImpulses {
 /// Physics steps that a contact force is remembered for.
 pub const FORCE_HISTORY: usize = 3;
 
-/// Contact forces of the last control step: on the feet, and on whatever else touched something.
+/// Contact forces of the last control step: on the feet, and on other bodies that touched
+/// something.
 ///
-/// The normal force on a body is the sum of the normal forces of its contacts, along each contact's own normal. Friction is no part of
-/// it, and what presses from two sides counts twice. Both engines count so.
+/// The normal force on a body is the sum of the normal forces of its contacts, along each contact's
+/// own normal. Friction is no part of it, and pressures from two sides add up. Both engines count
+/// so.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactForces {
     /// Net force on each foot in the last physics step, world axes, N.
@@ -350,7 +355,7 @@ pub struct ContactForces {
     /// Sum of the normal forces of each foot's contacts in each physics step of the control step, N, `[steps, feet]`; in place for
     /// the library's tasks.
     pub feet_normal: SmallVec<[f32; 4 * PHYSICS_STEPS]>,
-    /// On contact bodies other than feet, where it is not zero.
+    /// Forces on contact bodies other than feet, where they are not zero.
     pub others: SmallVec<[BodyForce; 4]>,
 }
 
@@ -371,15 +376,16 @@ impl ContactForces {
         Self { feet: smallvec![[0.0; 3]; feet], feet_normal: smallvec![0.0; feet * decimation], ..Self::default() }
     }
 
-    /// As if nothing had touched anything.
+    /// Sets all forces to zero.
     pub fn clear(&mut self) {
         self.feet.fill([0.0; 3]);
         self.feet_normal.fill(0.0);
         self.others.clear();
     }
 
-    /// Takes over the forces of a control step: on the contact bodies that are `feet`, and on others that may have touched something.
-    /// `net(body)` and `normal(physics step, body)` are those of any body.
+    /// Takes over the forces of a control step: on the contact bodies `feet`, and on `others` that
+    /// may have touched something. `net(body)` and `normal(physics step, body)` give the forces of
+    /// any body.
     #[inline(always)]
     pub fn set(
         &mut self,
@@ -411,7 +417,8 @@ impl ContactForces {
         }
     }
 
-    /// Net force on each of a robot's `bodies` contact bodies in the last physics step, world axes, N; `feet` are those that are feet.
+    /// Net force on each of a robot's `bodies` contact bodies in the last physics step, world axes,
+    /// N; `feet` are the contact bodies that are feet.
     pub fn net(&self, bodies: usize, feet: &[usize]) -> Vec<[f32; 3]> {
         let mut net = vec![[0.0; 3]; bodies];
         for (&foot, &force) in feet.iter().zip(&self.feet) {
@@ -424,12 +431,12 @@ impl ContactForces {
     }
 }
 
-/// Where the feet are and how they move.
+/// Positions and velocities of the feet.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Feet {
     /// Centres of the foot spheres, m: x and y relative to the env's origin, z in the world.
     pub position: PerFoot<[f32; 3]>,
-    /// World axes, m/s.
+    /// Velocities of the centres, world axes, m/s.
     pub velocity: PerFoot<[f32; 3]>,
     /// Heights of the centres above the ground below them, m.
     pub height: PerFoot,
@@ -442,17 +449,18 @@ impl Feet {
     }
 }
 
-/// The robot's own numbers: masses, lengths, gains, friction. They start as its morphology's and may be randomised.
+/// The robot's own parameters: masses, lengths, gains, friction. They start as its morphology's and
+/// may be randomised.
 #[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct Body(pub Box<Parameters<f32>>);
 
-/// The robot as the startup events left it, from which events of its body at a reset start; none where the task has no
-/// such events.
+/// The robot as the startup events left it, from which events of its body at a reset start; absent
+/// where the task has no such events.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct StartupBody(pub Option<Box<(Parameters<f32>, Stance)>>);
 
-/// How the robot stands while its actions are zero, and what an action changes. It starts as its morphology's and may be
-/// varied.
+/// The robot's pose for zero actions, and the effect of an action. It starts as its morphology's
+/// and may be varied.
 #[derive(Component, Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stance {
     /// Joint positions of the default pose, physical order, rad.
@@ -481,13 +489,13 @@ pub struct Sensors(Vec<Entity>);
 pub struct ContactSensor {
     /// Largest normal force over the last three physics steps, N, `[bodies]`: see [`ContactForces`].
     pub peak_force: PerBody,
-    /// How long each foot has been in contact, s.
+    /// Time that each foot has been in contact, s.
     pub contact_time: PerFoot,
-    /// How long each foot has been in the air, s.
+    /// Time that each foot has been in the air, s.
     pub air_time: PerFoot,
-    /// How long each foot's last contact lasted, s.
+    /// Length of each foot's last contact, s.
     pub last_contact_time: PerFoot,
-    /// How long each foot's last flight lasted, s.
+    /// Length of each foot's last flight, s.
     pub last_air_time: PerFoot,
 }
 
@@ -506,7 +514,7 @@ pub struct JointDescriptors {
     pub numbers: Box<[f32]>,
 }
 
-/// Height scanner on the base; the task's config says where its rays are.
+/// Height scanner on the base; the task's config gives its rays.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct HeightScan {
     /// Height of the ground where each ray hits it, m.
@@ -518,7 +526,7 @@ pub struct HeightScan {
 pub struct Imu {
     /// Velocity of the base's centre of mass, base axes, m/s.
     pub linear_velocity: [f32; 3],
-    /// Base axes, rad/s.
+    /// Angular velocity, base axes, rad/s.
     pub angular_velocity: [f32; 3],
     /// Unit vector of gravity, base axes; zeros without gravity.
     pub projected_gravity: [f32; 3],

@@ -7,11 +7,11 @@ use crate::config::ConfigError;
 use crate::dynamics::lanes::SimdError;
 use crate::robot::RobotError;
 
-/// Something that could not be made, read, written or stepped. The message names the place and a remedy.
+/// Failure to make, read, write or step something. The message names the place and a remedy.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A config, or a name that it should have.
+    /// A config, or the name of one.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A URDF.
@@ -41,12 +41,13 @@ pub enum Error {
     File {
         /// Path of the file.
         file: PathBuf,
-        /// Problem with the option.
+        /// Problem with the file.
         problem: String,
         /// Remedy.
         remedy: String,
     },
-    /// Entities of one kind that are not one per env, in the order of their env ids, with the same components.
+    /// Entities of one kind that break their blocks: one per env, in the order of the env ids, with
+    /// the same components.
     #[error("rows of the {kind}s: {problem}; {remedy}")]
     Rows {
         /// Kind of the entities: robot, env or a sensor.

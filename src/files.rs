@@ -4,7 +4,8 @@ use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// Largest config, URDF, dump or manifest that is read, bytes. All real ones are below 2 MiB; what is larger is a mistake, or endless.
+/// Largest config, URDF, dump or manifest that is read, bytes. All real ones are below 2 MiB; a
+/// larger file is a mistake, or endless.
 pub const MAX_BYTES: u64 = 64 << 20;
 
 /// Reads a file of up to [`MAX_BYTES`].
@@ -52,9 +53,9 @@ pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     }
 }
 
-/// Where a path leads to that ends at no file.
+/// The end of a path's symbolic links, where there may be no file.
 fn end_of_links(path: &Path) -> io::Result<PathBuf> {
-    /// Links that Linux follows.
+    /// Number of links that Linux follows.
     const MOST_LINKS: usize = 40;
     let mut target = path.to_path_buf();
     for _ in 0..MOST_LINKS {
@@ -77,7 +78,7 @@ fn replace(target: &Path, bytes: &[u8], permissions: Option<fs::Permissions>) ->
     };
     let folder = folder_of(target);
     let temporary = folder.join(format!(".{}.{}.tmp", name.to_string_lossy(), std::process::id()));
-    // left by a process of the same number that was killed
+    // left by a killed process of the same number
     let _ = fs::remove_file(&temporary);
     let write = || {
         let mut out = fs::File::create_new(&temporary)?;
@@ -95,7 +96,7 @@ fn replace(target: &Path, bytes: &[u8], permissions: Option<fs::Permissions>) ->
     sync_folder(folder)
 }
 
-/// Has the new name of a file written to the disk, where folders can be.
+/// Writes the new name of a file to the disk, where folders can be synchronised.
 fn sync_folder(folder: &Path) -> io::Result<()> {
     if !cfg!(unix) {
         return Ok(());

@@ -9,7 +9,7 @@ use crate::robot::{BodyGroup, Geometry, hull_triangles};
 /// Links and collision shapes of a robot; SI units.
 #[derive(Clone, Debug, Serialize)]
 pub struct Outline {
-    /// Names of the links, the base first; what is fixed to a link is part of it.
+    /// Names of the links, the base first; parts that are fixed to a link belong to it.
     pub links: Vec<String>,
     /// Centre of mass of the base in its frame, m.
     pub base_com: [f64; 3],
@@ -36,7 +36,8 @@ pub struct ShapeOutline {
     /// The shape.
     #[serde(flatten)]
     pub geometry: Geometry,
-    /// Faces of a convex hull, outward, as indices of its points; none where they cannot be told.
+    /// Faces of a convex hull, outward, as indices of its points; None where they cannot be
+    /// computed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub triangles: Option<Vec<[usize; 3]>>,
     /// Position of the shape's frame in the frame of its link, m.
@@ -53,7 +54,7 @@ pub(crate) fn quaternion(rotation: &DMat3) -> [f64; 4] {
 }
 
 impl MorphologyModel {
-    /// Its links and collision shapes.
+    /// Links and collision shapes of the robot.
     pub fn outline(&self) -> Outline {
         let shape = |shape: &crate::robot::Shape| ShapeOutline {
             geometry: shape.geometry.clone(),

@@ -1,7 +1,9 @@
-//! Links as kinematic bodies in Avian's world, with `physics.mirror_links`: whatever lives there sees the robots.
+//! Links as kinematic bodies in Avian's world, with `physics.mirror_links`, for other bodies, rays
+//! and events of that world.
 //!
-//! The engine moves the robots; Avian only moves their mirrors along, from where they were to where they are, while it steps
-//! its world once per control step. Its rays hit them and its bodies bounce off them, but no robot feels that.
+//! The engine moves the robots. Avian moves their mirrors along, from the old poses to the new
+//! ones, while it steps its world once per control step. Its rays hit them and its bodies bounce
+//! off them, but no robot feels that.
 //!
 //! Envs lie on a square grid in that world, [`LinkMirrors::origin`], `sim.env_spacing` apart, each
 //! with its own copies of the obstacles. An entity with an [`EnvId`] touches nothing of another
@@ -29,7 +31,7 @@ use crate::world::ObstacleCollider;
 /// Collision layer of mirrors: their memberships.
 pub const LINK_LAYER: LayerMask = LayerMask(1 << 30);
 
-/// Farther than this from its env's origin no mirror follows, m.
+/// Distance from its env's origin beyond which no mirror follows, m.
 const FARTHEST: f64 = 1e5;
 
 /// Marks the mirror of a link.
@@ -47,7 +49,7 @@ pub(crate) struct LinkMotion {
     pub(crate) rotation: Quat,
     /// Velocity of the centre of mass, m/s.
     pub(crate) linear: Vec3,
-    /// World axes, rad/s.
+    /// Angular velocity, world axes, rad/s.
     pub(crate) angular: Vec3,
 }
 
@@ -69,13 +71,13 @@ pub(crate) struct MirroredRobot {
 #[derive(Resource, Debug)]
 pub struct LinkMirrors {
     pub(crate) robots: Vec<MirroredRobot>,
-    /// `[env][link]`.
+    /// Mirrors, `[env][link]`.
     entities: Vec<Vec<Entity>>,
 }
 
 impl LinkMirrors {
-    /// Spawns the mirrors of all robots, `counts[m]` of kind `m`, and every env's obstacles. Where they are is still to be set. The envs
-    /// lie where `envs` of `of` lie on the grid.
+    /// Spawns the mirrors of all robots, `counts[m]` of morphology `m`, and every env's obstacles,
+    /// without poses. The envs lie at the places of `envs` among `of` on the grid.
     pub(crate) fn spawn(
         world: &mut World,
         config: &TaskConfig,
@@ -110,12 +112,13 @@ impl LinkMirrors {
         world.insert_resource(Self { robots, entities });
     }
 
-    /// Where the origin of an env is in Avian's world, m; `None` for an env that does not exist.
+    /// Origin of an env in Avian's world, m; `None` for an env that does not exist.
     pub fn origin(&self, env: EnvId) -> Option<Vec3> {
         self.robots.get(env.0 as usize).map(|robot| Vec3::new(robot.origin[0], robot.origin[1], 0.0))
     }
 
-    /// The mirrors of a robot's links: the base, then what each joint carries. Empty for an env that does not exist.
+    /// The mirrors of a robot's links: the base, then the link of each joint. Empty for an env that
+    /// does not exist.
     pub fn links(&self, env: EnvId) -> &[Entity] {
         self.entities.get(env.0 as usize).map_or(&[], Vec::as_slice)
     }
@@ -127,7 +130,8 @@ fn grid(envs: Range<usize>, of: usize, spacing: f32) -> Vec<[f32; 2]> {
     envs.map(|env| [(env % side) as f32 * spacing, (env / side) as f32 * spacing]).collect()
 }
 
-/// The engine itself takes care of robots on the ground: no pair of a mirror with something static is looked at.
+/// Leaves pairs of a mirror with something static out: the engine itself handles robots on the
+/// ground.
 fn hide_links_from_scene(world: &mut World) {
     let all: Vec<(Entity, RigidBody)> = world
         .query_filtered::<(Entity, &RigidBody), With<Collider>>()
@@ -195,7 +199,7 @@ fn spawn_link(
         (Position(Vec3::ZERO), Rotation::IDENTITY, LinearVelocity::ZERO, AngularVelocity::ZERO),
         mass_properties(parameters, &model.align[link], link),
         (NoAutoMass, NoAutoAngularInertia, NoAutoCenterOfMass, SleepingDisabled),
-        // a collider takes its scale from the global one, and zero without it
+        // a collider takes its scale from the global transform, and zero without one
         (Transform::IDENTITY, GlobalTransform::IDENTITY),
     ));
     if let Some(collider) = collider {
@@ -228,7 +232,8 @@ impl MirroredRobot {
         }
     }
 
-    /// Takes up the state of the robot; one that is not finite leaves the motions as they are, and the links at rest.
+    /// Takes over the state of the robot. A state that is not finite leaves the motions as they
+    /// are, and the links at rest.
     pub(crate) fn follow(
         &mut self,
         model: &MorphologyModel,

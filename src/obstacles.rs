@@ -19,7 +19,7 @@ pub(crate) struct Part {
     pub(crate) reach: f32,
 }
 
-/// The parts of an obstacle; none where it has no volume that a hull can be made of.
+/// The parts of an obstacle; empty where it has no volume for a hull.
 pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
     let (position, [roll, pitch, yaw]) = obstacle.placement();
     let place = Vec3::from_array(position.map(|x| x as f32));
@@ -101,7 +101,8 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
 /// Half the side of a plane that is open somewhere, m: farther than a robot walks in an episode, about any env's origin.
 pub(crate) const FLOOR: f32 = 500.0;
 
-/// The plane at height zero with these rectangles left out; `None` without any, when it is whole.
+/// The plane at height zero with these rectangles left out; `None` without rectangles, when it is
+/// whole.
 pub(crate) fn floor(pits: &[[[f64; 2]; 2]]) -> Option<Part> {
     if pits.is_empty() {
         return None;
@@ -149,6 +150,6 @@ pub(crate) fn terrain(config: &TerrainConfig) -> Option<Part> {
 /// The hull of points that span a volume.
 pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
     let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
-    // it asserts its way through degenerate input
+    // the library panics on degenerate input
     catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()
 }

@@ -15,7 +15,8 @@ pub struct SimOptions {
     pub task: String,
     /// Names or paths of the robots; the task's own list when absent.
     pub robots: Option<Vec<String>>,
-    /// Slots that the batch has on top of those of its robots, by name: those of a policy that knows other robots too.
+    /// Slots of the batch in addition to those of its robots, by name, for a policy that knows
+    /// other robots too.
     pub slots: Vec<String>,
     /// Number of envs, shared out among the robots.
     pub num_envs: usize,
@@ -24,17 +25,17 @@ pub struct SimOptions {
     pub share: Option<Range<usize>>,
     /// Seed of all random streams.
     pub seed: u64,
-    /// Threads; all cores when absent. Only as many are made as there are packs of envs.
+    /// Threads; all cores when absent. No more are made than there are packs of envs.
     pub threads: Option<usize>,
     /// `key=value` changes to the task.
     pub overrides: Vec<String>,
     /// How ended episodes are reset.
     pub autoreset: Autoreset,
-    /// Directories laid out like the project in which configs and assets are looked for first.
+    /// Directories laid out like the project, in which configs and assets are looked up first.
     pub roots: Vec<PathBuf>,
-    /// Instruction set of the physics; the fastest one, or what `POLYPOD_SIMD` says, when absent.
+    /// Instruction set of the physics; when absent the value of `POLYPOD_SIMD`, or the fastest one.
     pub simd: Option<Simd>,
-    /// Directory for the dump of the first state of each robot that breaks; none is dumped when absent.
+    /// Directory for a dump of the first broken state of each robot; no dumps when absent.
     pub dump_dir: Option<PathBuf>,
 }
 
@@ -61,10 +62,10 @@ impl SimOptions {
 /// Party that resets an env whose episode has ended.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Autoreset {
-    /// The control step in which it ended.
+    /// The control step in which the episode ended.
     #[default]
     SameStep,
-    /// The next control step, which then does nothing else to this env.
+    /// The next control step, which only resets this env.
     NextStep,
     /// Only the caller.
     Disabled,

@@ -8,18 +8,18 @@ use crate::hash::fnv1a;
 /// Length of the checksum at the end: FNV-1a, little endian.
 const CHECKSUM: usize = size_of::<u64>();
 
-/// Says what the bytes are and what they are of.
+/// Kind of the bytes, and their simulation.
 #[derive(Serialize, Deserialize, PartialEq, Eq, Clone, Debug)]
 pub(crate) struct Header {
     /// Kind of file, such as "polypod snapshot".
     pub(crate) kind: String,
-    /// Changes whenever the layout of the kind does.
+    /// Version of the layout of this kind.
     pub(crate) format: u32,
     /// Version of polypod.
     pub(crate) version: String,
     /// Robots, in words.
     pub(crate) robots: String,
-    /// Hash of all that decides what a step does, but for the state.
+    /// Hash of all that decides the result of a step, except the state.
     pub(crate) fingerprint: u64,
     pub(crate) num_envs: u64,
 }
@@ -39,13 +39,13 @@ pub(crate) fn seal(header: &Header, value: &impl Serialize) -> postcard::Result<
     Ok(bytes)
 }
 
-/// The header alone, of bytes of the kind.
+/// The header alone, if the bytes are of the kind.
 pub(crate) fn header(bytes: &[u8], kind: &str) -> Option<Header> {
     let (header, _) = postcard::take_from_bytes::<Header>(bytes).ok()?;
     (header.kind == kind).then_some(header)
 }
 
-/// The value, if the checksum fits and it can be read.
+/// The value, if the checksum is right and the value can be read.
 pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8]) -> Option<T> {
     let (data, sum) = bytes.split_last_chunk::<CHECKSUM>()?;
     if fnv1a(data).to_le_bytes() != *sum {
@@ -57,7 +57,7 @@ pub(crate) fn open<T: DeserializeOwned>(bytes: &[u8]) -> Option<T> {
 /// The value of bytes that have this header.
 ///
 /// # Errors
-/// They are of another kind or simulation, or damaged.
+/// The bytes are of another kind or simulation, or damaged.
 pub(crate) fn open_as<T: DeserializeOwned>(bytes: &[u8], ours: &Header) -> Result<T, String> {
     let Some(theirs) = header(bytes, &ours.kind) else {
         return Err(format!("not a {}; pass what snapshot() gave", ours.kind));

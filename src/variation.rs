@@ -1,5 +1,5 @@
-//! Bodies that differ from their URDF: links stretched and weighed otherwise, another pose to stand in, another size, with all
-//! that follows from it.
+//! Bodies that differ from their URDF: stretched and heavier or lighter links, another standing
+//! pose, another size, and the numbers that follow.
 //!
 //! Every parameter of a body may differ from its morphology's ([`Parameters`]), and varied bodies
 //! step by the same instructions as equal ones. Their parameters come from memory, where those of
@@ -10,9 +10,9 @@
 //! and stay mirror images. The pairs of shapes that can touch are the morphology's: parts that are
 //! stretched by more than 1.15 times the size may reach a little where no contact is looked for.
 //!
-//! A body of another size is dynamically similar (Alexander and Jayes, A dynamic similarity hypothesis for the gaits of quadrupedal
-//! mammals, 1983): under the same gravity and of the same density, what the one does in a time the other does in that time by the root
-//! of the size.
+//! A body of another size is dynamically similar (Alexander and Jayes, A dynamic similarity
+//! hypothesis for the gaits of quadrupedal mammals, 1983). Under the same gravity and with the same
+//! density its motion takes a time that grows with the root of the size.
 
 use crate::components::Stance;
 use crate::dynamics::math::{Mat3, Spatial, Sym3, Vec3, dot, mul_vec, rotate_sym};
@@ -50,13 +50,13 @@ pub struct BodyScales {
     pub stiffness: f64,
     /// Damping of all actuators.
     pub damping: f64,
-    /// All lengths; masses, inertias, torques, gains and speeds as dynamic similarity has them.
+    /// All lengths; masses, inertias, torques, gains and speeds follow by dynamic similarity.
     pub size: f64,
     /// Joint target per unit of action.
     pub action_scale: f64,
     /// Angles of hip flexion and knee in the default pose: straighter or more bent legs.
     pub default_flexion: f64,
-    /// Not a factor: what the legs are spread more in the default pose, rad.
+    /// Angle by which the legs are spread more in the default pose, rad; not a factor.
     pub default_abduction: f64,
 }
 
@@ -81,11 +81,11 @@ impl BodyScales {
         default_abduction: 0.0,
     };
 
-    /// Scales a body of this kind and how it stands.
+    /// Scales a body of this morphology and its stance.
     pub fn apply(&self, model: &MorphologyModel, body: &mut Parameters<f32>, stance: &mut Stance) {
         let topology = &model.topology;
         let mut p = Parameters::<f64>::from_scalars(topology, body);
-        // the maps come from the lengths as they are, so all of them first
+        // the maps come from the unscaled lengths, so all of them first
         let maps = self.maps(model, &p);
         for (link, (map, mass)) in maps.iter().enumerate() {
             p.com[link] = mul_vec(map, &p.com[link]);
@@ -160,7 +160,7 @@ impl BodyScales {
         p.spring.iter_mut().for_each(|[stiffness, _]| *stiffness *= torque);
     }
 
-    /// How each link is stretched, and the factor of its mass, `[links]`.
+    /// Stretching map of each link, and the factor of its mass, `[links]`.
     fn maps(&self, model: &MorphologyModel, p: &Parameters<f64>) -> Vec<(Mat3<f64>, f64)> {
         let topology = &model.topology;
         let mut maps = vec![(stretch(&[0.0; 3], 1.0), 1.0); topology.num_links()];
@@ -173,7 +173,7 @@ impl BodyScales {
             let Some(knee) = knee else {
                 continue;
             };
-            // a link reaches to the next joint, and what the knee carries to the foot or to the ankle
+            // a link reaches to the next joint, and the shank to the foot or the ankle
             for (at, joint) in limb.joints[..=knee].iter().enumerate() {
                 let (length, mass) = match knee - at {
                     0 => (self.shank_length, self.shank_mass),
@@ -195,7 +195,7 @@ impl BodyScales {
     }
 }
 
-/// The foot of a leg in its shank, or where the part of the leg hangs that carries it, m.
+/// Place of a leg's foot in its shank, or of the part of the leg that carries the foot, m.
 fn foot_in(topology: &Topology, p: &Parameters<f64>, shank: usize, leg: usize) -> Vec3<f64> {
     let below = topology.chain(topology.sites[leg]).find(|&joint| topology.joints[joint].parent == shank);
     match below {
@@ -204,7 +204,7 @@ fn foot_in(topology: &Topology, p: &Parameters<f64>, shank: usize, leg: usize) -
     }
 }
 
-/// The map that stretches by a factor along a direction and leaves what is across it.
+/// The map that stretches by a factor along a direction and keeps directions across it.
 fn stretch(along: &Vec3<f64>, factor: f64) -> Mat3<f64> {
     let square = dot(along, along);
     let more = if square > 0.0 { (factor - 1.0) / square } else { 0.0 };
