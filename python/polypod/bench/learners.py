@@ -1,4 +1,4 @@
-"""Where an iteration of a training goes, for every learner in turn: `polypod bench --learner`."""
+"""Time of the parts of a training iteration, for every learner: `polypod bench --learner`."""
 
 import contextlib
 import dataclasses
@@ -124,7 +124,7 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
 
 
 def heading(result: Mapping[str, Any], what: str) -> list[str]:
-    """The lines before a table: what the figures were measured on."""
+    """Lines before a table that say where its figures were measured."""
     conditions = f"Train config {result['train_config']}, {what}, {result['threads']} threads, {result['simd']}."
     return [provenance.sentence(result["measured"]), conditions, ""]
 

@@ -1,4 +1,4 @@
-"""How trainings scale over workers of one machine: `polypod bench --workers`.
+"""Scaling of trainings over workers of one machine: `polypod bench --workers`.
 
 The same cores are shared out among more and more workers. The figures are the cost of several
 workers: the time that they wait for one another, and the bytes that they send. With GPUs worker 0

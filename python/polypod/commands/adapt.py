@@ -35,7 +35,8 @@ class Adapt:
     bundled policy. Default: quadruped for four legs; for others legged if it has a column for every
     joint, else quadruped."""
     neighbours: int = 0
-    """Also train N robots of the policy that are described most like it, so that they are not forgotten."""
+    """Also train the N robots of the policy with the nearest descriptions, so that it keeps
+    them."""
     max_minutes: float = 15.0
     """End after this many minutes, drafting and measuring included."""
     every: int = 10
@@ -52,7 +53,7 @@ class Adapt:
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     package_dir: PackageDirs = ()
-    """Where a ROS package of `package://` names of a URDF lies. May be repeated."""
+    """Folder of a ROS package in a URDF's `package://` names. May be repeated."""
     lock: Locks = ()
     """Holds a joint of a URDF at a position, rad or m: an arm, a wheel. May be repeated."""
     set: Overrides = ()

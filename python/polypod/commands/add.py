@@ -20,13 +20,14 @@ class Add:
     out: Annotated[Path | None, arg(metavar="FOLDER")] = None
     """The library's folder. Default: the first of POLYPOD_PATH."""
     name: Name = None
-    """The robot's name in configs. Default: the one in the file, or that of the file."""
+    """The robot's name in configs. Default: the name in the file, or of the file."""
     file: Annotated[str | None, arg(metavar="FILE")] = None
     """The file within a folder or zip file, where several could be the robot."""
     root: Annotated[str | None, arg(metavar="BODY")] = None
-    """The body of an MJCF scene that is the robot's base. Default: the one below which the most joints are."""
+    """The body of an MJCF scene that is the robot's base. Default: the body with the most joints
+    below it."""
     package_dir: PackageDirs = ()
-    """Where a ROS package of `package://` names and of xacro's `$(find)` lies. May be repeated."""
+    """Folder of a ROS package in `package://` names and in xacro's `$(find)`. May be repeated."""
     xacro_arg: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
     """An argument of a xacro file. May be repeated."""
     foot: Feet = ()
@@ -36,7 +37,7 @@ class Add:
     lock: Locks = ()
     """Holds a joint at a position, rad or m: an arm, a payload. May be repeated."""
     force: bool = False
-    """Write over a robot that is there."""
+    """Replace an existing robot."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -18,7 +18,7 @@ class Bench:
     """Measure the speed of the physics, with MuJoCo's in the same run, or of trainings."""
 
     learner: bool = False
-    """Measure instead where an iteration of a training goes, for every learner of this machine."""
+    """Measure instead the time of each part of a training iteration, for every learner."""
     walk: bool = False
     """Measure instead the time and the samples until all robots walk."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
@@ -49,7 +49,7 @@ class Bench:
     step_threads: Count = None
     """Threads of the whole control steps. Default: one per core."""
     largest: int = 65536
-    """Number of envs that the scaling goes up to."""
+    """Largest number of envs of the scaling."""
     seed: Count = None
     """Seed of every random stream; the first of --walk. Default: 0; of trainings, 42."""
 

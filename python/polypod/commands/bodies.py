@@ -14,9 +14,9 @@ class Bodies:
     """Generate random robots as a library: `polypod bodies generate FOLDER --count 1000`."""
 
     action: Annotated[Literal["generate"], tyro.conf.Positional]
-    """generate: draw lengths, let masses, gains and poses follow, write URDFs, TOMLs and tasks of all."""
+    """generate: sample lengths, derive masses, gains and poses, write URDFs, TOMLs and tasks."""
     folder: Annotated[Path, tyro.conf.Positional]
-    """Where to. Name it in POLYPOD_PATH to use it."""
+    """Folder to write. Add it to POLYPOD_PATH to use it."""
     count: Annotated[int, arg(metavar="N")] = 100
     """Number of bodies; kinds take turns."""
     seed: int = 0
@@ -24,11 +24,11 @@ class Bodies:
     kinds: Annotated[str, arg(metavar="A,B,C")] = "quadruped,quadruped8,biped,humanoid,hexapod"
     """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
-    """Beginning of the robots' names."""
+    """Prefix of the robots' names."""
     wide: bool = False
     """Let quadrupeds also differ in hips, joint limits, motors and gains, as robots of makers do."""
     force: bool = False
-    """Write over files that are there."""
+    """Replace existing files."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -18,7 +18,7 @@ class Check:
     file: Annotated[Path, tyro.conf.Positional]
     """The URDF file, or a robot: its name, or the path of its config."""
     package_dir: PackageDirs = ()
-    """Where a ROS package of `package://` names lies. May be repeated."""
+    """Folder of a ROS package in `package://` names. May be repeated."""
     lock: Locks = ()
     """Holds a joint at a position, rad or m. May be repeated."""
 

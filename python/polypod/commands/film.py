@@ -15,7 +15,7 @@ class FilmOf:
 
     Needs the extra play.
 
-    `polypod play --video` films what else there is, such as rough ground.
+    `polypod play --video` films other scenes, such as rough ground.
     """
 
     story: Annotated[Literal["walk", "training", "push", "mujoco"], tyro.conf.Positional]

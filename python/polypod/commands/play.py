@@ -48,9 +48,9 @@ class Play:
     size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 360)
     """Width and height of the film, pixels."""
     headless: bool = False
-    """Neither browser nor file: only the table of how the robots did."""
+    """Neither browser nor file: only print the table of results."""
     host: str = "127.0.0.1"
-    """Address that the page is served at; 0.0.0.0 lets other machines in, and anyone who reaches it steers."""
+    """Address of the page. With 0.0.0.0 other machines reach it, and anyone who does steers."""
     port: int = 8080
     """Port of the browser's page; 0 takes a free one."""
     meshes: bool = False

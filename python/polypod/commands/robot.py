@@ -25,7 +25,7 @@ class Robot:
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """The TOML to write. Default: <name>.toml next to the URDF."""
     package_dir: PackageDirs = ()
-    """Where a ROS package of `package://` names lies. May be repeated."""
+    """Folder of a ROS package in `package://` names. May be repeated."""
     foot: Feet = ()
     """The link that is the foot of a leg, where the URDF does not tell: LF=toe_link. May be repeated."""
     role: Roles = ()
@@ -33,7 +33,7 @@ class Robot:
     lock: Locks = ()
     """Holds a joint at a position, rad or m: an arm, a payload. May be repeated."""
     force: bool = False
-    """Write over a file that is there."""
+    """Replace an existing file."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -57,7 +57,7 @@ class Robustness:
     threads: Count = None
     """Threads of the simulators and the policy. Default: one per core."""
     model: Annotated[Path | None, arg(metavar="FILE")] = None
-    """In place of polypod's robot in MuJoCo, somebody else's MuJoCo model of it; see sim2sim."""
+    """Another MuJoCo model of the robot in place of polypod's; see sim2sim."""
     map: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, a TOML file that says which joint is which where names and geometry do not."""
     actuators: Literal["model", "policy", "motors"] = "model"

@@ -45,8 +45,8 @@ class Sim2sim:
     seed: int = 0
     """Seed of initial states, commands and delays."""
     model: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Instead of polypod's robot, somebody else's MuJoCo model of it: an MJCF file of the robot or of a scene, with its
-    own masses, contacts, damping and actuators."""
+    """Another MuJoCo model of the robot in place of polypod's: an MJCF file of the robot or of a
+    scene, with its own masses, contacts, damping and actuators."""
     map: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, a TOML file that says which joint is which where names and geometry do not."""
     actuators: Literal["model", "policy", "motors"] = "model"
@@ -59,9 +59,10 @@ class Sim2sim:
     phase_s: Annotated[float, arg(metavar="S")] = 5.0
     """Length of a phase, s."""
     rounds: int = 1
-    """How often the phases come in an episode."""
+    """Number of times that an episode goes through the phases."""
     differences: bool = True
-    """With --model, rank what sets it apart from polypod's robot by the effect on one step response."""
+    """With --model, rank its differences from polypod's robot by the effect on one step
+    response."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the extra play."""
     set: Overrides = ()

@@ -16,7 +16,7 @@ class SweepOf:
     file: Annotated[Path, tyro.conf.Positional]
     """A TOML file with seeds, configs and robots; docs/cluster.md describes it."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder for the runs. Default: logs/sweeps/<name of the file>. A sweep that is there goes on."""
+    """Folder for the runs. Default: logs/sweeps/<name of the file>. An existing sweep goes on."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """Train side by side on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
     started if there is none. Needs the extra ray."""

@@ -21,7 +21,8 @@ class Train:
     robots: Robots = None
     """Names of the robots, with commas between (`polypod list`). Default: the task's."""
     max_iterations: Count = None
-    """Learning iterations; with --resume, how many more. Default: the train config's; with --resume, what was left."""
+    """Learning iterations; with --resume, further ones. Default: the train config's; with --resume,
+    the rest."""
     until_walks: Count = None
     """End the training as soon as all robots walk, by the definition of docs/evaluate.md, and measure it every N
     iterations. The exit code is 3 where they do not walk after the last one."""
@@ -33,7 +34,8 @@ class Train:
     """The learner: the native one, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons, and rsl_rl for
     all other networks and for --terms. Default: the train config's. A resumed run may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
-    """Where the curves go. wandb and neptune need their package and account; TensorBoard's files are written too."""
+    """Destination of the curves. wandb and neptune need their package and account; TensorBoard's
+    files are written too."""
     log_project: str = "polypod"
     """Project of wandb or neptune."""
     resume: Annotated[str | None, arg(metavar="RUN")] = None
@@ -45,7 +47,7 @@ class Train:
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
     run_name: Name = None
-    """Added to the name of the run's directory."""
+    """Suffix of the name of the run's directory."""
     log_dir: Path = Path("logs")
     """Runs lie in LOG_DIR/rsl_rl/<experiment>/."""
     device: Literal["auto", "cpu", "cuda"] = "auto"

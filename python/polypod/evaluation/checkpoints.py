@@ -1,4 +1,4 @@
-"""Evaluating what trainings left."""
+"""Evaluation of the checkpoints of trainings."""
 
 import dataclasses
 import shlex

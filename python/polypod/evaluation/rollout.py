@@ -22,7 +22,7 @@ MAX_STEPS = 10_000_000
 """Control steps of all episodes together: hours, even of few envs."""
 
 Commands = Literal["walking", "task"]
-"""How commands come about: the schedule of `walking`, or drawn as the task draws them."""
+"""Source of the commands: the schedule of `walking`, or the task's sampling."""
 
 Grid = tuple[int, int, int]
 """How many forward velocities, left velocities and yaw rates, each evenly over a robot's range."""
@@ -166,7 +166,7 @@ def evaluate(
 def _episode(
     sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None
 ) -> dict[str, measures.Array]:
-    """Sums over each env's first episode of what `measures.of_step` gives.
+    """Sums of `measures.of_step` over each env's first episode.
 
     `record` says and sees the commands.
     """

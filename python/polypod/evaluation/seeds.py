@@ -1,4 +1,4 @@
-"""Several trainings that differ in their seeds: means, and how far they can be trusted."""
+"""Several trainings that differ in their seeds: means and confidence intervals."""
 
 import dataclasses
 import functools

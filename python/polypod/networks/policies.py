@@ -1,4 +1,4 @@
-"""Policies out of checkpoints."""
+"""Policies from checkpoints."""
 
 from collections.abc import Callable
 from typing import Any
@@ -47,7 +47,7 @@ def load_policy(checkpoint: dict[str, Any], model: dict[str, Any]) -> Policy:
 
 
 class NetworkPolicy:
-    """The deterministic policy of a network. A recurrent one remembers what it has seen since `reset`."""
+    """The deterministic policy of a network. A recurrent one remembers its inputs since `reset`."""
 
     def __init__(self, network: torch.nn.Module, num_obs: int) -> None:
         """Takes observations of `num_obs` numbers."""

@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float32]
 
 @dataclasses.dataclass(frozen=True)
 class MakersModel:
-    """Somebody else's MuJoCo model of the robot."""
+    """A maker's MuJoCo model of the robot."""
 
     file: Path
     map: Path | None = None
@@ -59,7 +59,7 @@ class PolicyPerEnv:
         return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
     def reset(self) -> None:
-        """Forgets what all rows have seen."""
+        """Forgets the past of all rows."""
         for policy in self._policies:
             policy.reset()
 

@@ -1,4 +1,4 @@
-"""Figures of the battery and what they are judged by."""
+"""Figures of the battery and their bounds."""
 
 import dataclasses
 import math
@@ -54,7 +54,7 @@ class Row:
     dimension."""
     robots: dict[str, Cell]
     not_applicable: dict[str, str]
-    """Why a robot has no figures, by robot."""
+    """Reasons for missing figures, by robot."""
 
     @property
     def worst(self) -> str | None:
