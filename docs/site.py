@@ -1,4 +1,4 @@
-"""Adapts the repository's pages for MkDocs: README.md is the front page, links out of docs/ lead to GitHub."""
+"""Adapts the pages for MkDocs: README.md is the front page, links out of docs/ lead to GitHub."""
 
 import re
 from pathlib import Path
