@@ -1,5 +1,5 @@
-//! Input: a way to read the rest (one byte); then edits of a sound dump, or changes `task KEY=VALUE` and `robot KEY=VALUE` of its
-//! configs, one on each line.
+//! Input: a way to read the rest (one byte); then edits of a sound dump, or changes `task
+//! KEY=VALUE` and `robot KEY=VALUE` of its configs, one on each line.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;

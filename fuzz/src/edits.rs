@@ -1,4 +1,5 @@
-//! Changes to sound bytes. A file with a checksum is refused unless nearly all of it is right, so the fuzzer's input is a list of edits.
+//! Changes to sound bytes. A file with a checksum is refused unless nearly all of it is right, so
+//! the fuzzer's input is a list of edits.
 
 /// Bytes of an edit: an operation, a place (24 bits, little endian) and an argument.
 const EDIT: usize = 5;

@@ -1,6 +1,7 @@
 //! Bodies of the fuzz targets. The tests include this file and run it with `tests/data/hostile`.
 //!
-//! Each function panics where polypod breaks a promise, and returns whether polypod accepts the input.
+//! Each function panics where polypod breaks a promise, and returns whether polypod accepts the
+//! input.
 
 pub mod dumps;
 mod edits;

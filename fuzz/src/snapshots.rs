@@ -1,4 +1,5 @@
-//! Input: a simulation and a way to read the rest (one byte); then edits of a sound snapshot, or bytes that follow its header.
+//! Input: a simulation and a way to read the rest (one byte); then edits of a sound snapshot, or
+//! bytes that follow its header.
 
 use std::cell::RefCell;
 

@@ -1,7 +1,8 @@
 //! Input: TOML texts, each below a line `#! task`, `#! base`, `#! robot` or `#! set`. Text before
 //! the first such line is a task.
 //!
-//! The task is `top.toml`, which may extend `base`; the robot is `fuzzed`; `set` has an override on each line.
+//! The task is `top.toml`, which may extend `base`; the robot is `fuzzed`; `set` has an override on
+//! each line.
 
 use polypod::config::{Library, TaskConfig, parse_params};
 use polypod::morphology::{Morphologies, MorphologyModel};
@@ -10,7 +11,8 @@ use polypod::{Sim, SimOptions};
 
 use super::folder::{folder, put};
 
-/// Largest counts of a scene that is built and stepped here: larger ones take time and show nothing else.
+/// Largest counts of a scene that is built and stepped here: larger ones take time and show nothing
+/// else.
 const FEW: usize = 3;
 
 /// Resolves the layers, checks what comes out, and steps the task if it is small.
