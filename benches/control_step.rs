@@ -1,5 +1,5 @@
-//! Speed of the physics alone, in env-physics-steps per second, and of whole control steps, in env-steps per second.
-//! `cargo bench`; `cargo bench -- physics` for one group.
+//! Speed of the physics alone, in env-physics-steps per second, and of whole control steps, in
+//! env-steps per second. `cargo bench`; `cargo bench -- physics` for one group.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use polypod::components::EnvRng;
@@ -83,8 +83,8 @@ fn sim(robot: Option<&str>, num_envs: usize, threads: usize, overrides: &[&str])
     Sim::new(&options).expect("the built-in task and robots load")
 }
 
-/// Steps with random actions up to `reach`, after a while of the same: with 1 some robots stand, some are in the
-/// air, some fall.
+/// Steps with random actions up to `reach`, after a while of the same: with 1 some robots stand,
+/// some are in the air, some fall.
 fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: Sim) {
     let mut rng = EnvRng::new(0, 0);
     let mut actions = vec![0.0; sim.batch().actions.len()];
@@ -135,7 +135,8 @@ fn threads(c: &mut Criterion) {
     }
 }
 
-/// One physics step against four, and one solver sweep against the default four: the differences are their costs.
+/// One physics step against four, and one solver sweep against the default four: the differences
+/// are their costs.
 fn shares(c: &mut Criterion) {
     for (name, overrides) in [
         ("four physics steps", &[][..]),

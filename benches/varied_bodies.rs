@@ -1,8 +1,9 @@
-//! Are bodies that all differ as fast as equal ones? `cargo bench --bench varied_bodies`: both in turn, round after round, on one
-//! thread, so that whatever else the machine does hits both.
+//! Are bodies that all differ as fast as equal ones? `cargo bench --bench varied_bodies`: both in
+//! turn, round after round, on one thread, so that whatever else the machine does hits both.
 //!
-//! Asked of a robot that does not fall, whose varied bodies do what the equal ones do, and of all: heavier and longer bodies fall
-//! more often, and robots that lie on the ground cost more whatever their bodies are.
+//! Asked of a robot that does not fall, whose varied bodies do what the equal ones do, and of all:
+//! heavier and longer bodies fall more often, and robots that lie on the ground cost more whatever
+//! their bodies are.
 
 use std::time::Instant;
 
