@@ -1,6 +1,7 @@
 //! A Bevy app of one's own around the simulation: `cargo run --release --example headless_app`.
 //!
-//! A plugin gives every robot a motor temperature, a system warms it by the motors' efforts, and the policy observes it.
+//! A plugin gives every robot a motor temperature, a system warms it by the motors' efforts, and
+//! the policy observes it.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;

@@ -1,6 +1,7 @@
 //! A reward term of one's own: `cargo run --release --example own_term`.
 //!
-//! Two kinds of robots hold their default pose for two seconds; printed is what the term gave each of them.
+//! Two kinds of robots hold their default pose for two seconds; printed is what the term gave each
+//! of them.
 
 use polypod::components::{EnvId, EpisodeSums};
 use polypod::systems::{Registry, RobotView};
