@@ -1,7 +1,8 @@
-//! Parts of a network of joints besides matrix products: attention over the joints of a body, and codes of joints.
+//! Parts of a network of joints besides matrix products: attention over the joints of a body, and
+//! codes of joints.
 //!
-//! A tile has rows of samples, and rows of the joints of its bodies. A sample reads its body's rows, which all
-//! samples of that body share.
+//! A tile has rows of samples, and rows of the joints of its bodies. A sample reads its body's
+//! rows, which all samples of that body share.
 
 use polypod_dynamics::elementary::exp;
 use polypod_dynamics::lanes::Real;
@@ -234,7 +235,8 @@ impl LineKernel for GatherBack<'_> {
     }
 }
 
-/// Turns logarithms of shares into shares: for each head they sum up to 1 over the joints of a body.
+/// Turns logarithms of shares into shares: for each head they sum up to 1 over the joints of a
+/// body.
 pub(crate) struct Softmax<'a> {
     pub(crate) runs: &'a [Run],
     pub(crate) num_joints: usize,

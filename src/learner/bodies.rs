@@ -31,7 +31,8 @@ pub(crate) struct Bodies {
     keys: Vec<Vec<u32>>,
     /// Number of the body of each sample.
     pub(crate) of_samples: Vec<usize>,
-    /// Distribution of the actions while the samples were collected, of each body; None before its first action.
+    /// Distribution of the actions while the samples were collected, of each body; None before its
+    /// first action.
     pub(crate) old: Vec<Option<Gaussian>>,
     /// The last body of each env.
     last: Vec<usize>,

@@ -1,4 +1,5 @@
-//! The policy's distribution: independent normal numbers with learnt deviations that do not depend on the observation.
+//! The policy's distribution: independent normal numbers with learnt deviations that do not depend
+//! on the observation.
 
 use polypod_dynamics::elementary::exp;
 
@@ -83,8 +84,9 @@ impl Gaussian {
         self.constant - 0.5 * sum
     }
 
-    /// The clipped surrogate loss of an action under this distribution, and its derivatives: those of the mean are
-    /// written to `mean`, which holds it; those of the deviations are added to `deviation`.
+    /// The clipped surrogate loss of an action under this distribution, and its derivatives: those
+    /// of the mean are written to `mean`, which holds it; those of the deviations are added to
+    /// `deviation`.
     #[inline(always)]
     pub(crate) fn surrogate(
         &self,
@@ -108,8 +110,8 @@ impl Gaussian {
         free.max(clipped)
     }
 
-    /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add `of_deviations`;
-    /// exactly zero if they are the same.
+    /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add
+    /// `of_deviations`; exactly zero if they are the same.
     #[inline(always)]
     pub(crate) fn divergence(&self, mean: &[Line], old_mean: &[Line], of_deviations: f32) -> f32 {
         let mut sum = 0.0;

@@ -1,8 +1,8 @@
 //! A network of joints, like `polypod.networks.urma.JointNetwork`, forward and back over a tile of
 //! samples.
 //!
-//! Numbers of a body (codes, shares of the attention, keys, deviations) are computed once for all of its samples in a
-//! tile.
+//! Numbers of a body (codes, shares of the attention, keys, deviations) are computed once for all
+//! of its samples in a tile.
 
 use crate::activation::Activation;
 use crate::attention::{
@@ -97,7 +97,8 @@ pub(crate) struct JointTile {
     shares: Vec<Line>,
     focused: Vec<Line>,
     deviations: Vec<Line>,
-    /// Keys of each body, panels `[lines of a key][joints]`, joints rounded up to a multiple of [`BLOCK`].
+    /// Keys of each body, panels `[lines of a key][joints]`, joints rounded up to a multiple of
+    /// [`BLOCK`].
     keys: Vec<Vec<Line>>,
     /// Keys of each body, panels `[lines of its joints][numbers of a key]`.
     keys_transposed: Vec<Vec<Line>>,
@@ -663,7 +664,8 @@ impl JointTile {
         &self.bodies
     }
 
-    /// Distribution of the actions of a body of the tile, and the derivatives that are noted of its deviations.
+    /// Distribution of the actions of a body of the tile, and the derivatives that are noted of its
+    /// deviations.
     pub(crate) fn distribution(&mut self, body: usize) -> (&Gaussian, &mut [Line]) {
         let lines = self.of_deviations.len() / self.distributions.len().max(1);
         (&self.distributions[body], &mut self.of_deviations[body * lines..][..lines])

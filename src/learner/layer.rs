@@ -20,8 +20,8 @@ pub(crate) struct Sort {
 
 /// Where a layer's weights are.
 ///
-/// Its inputs and outputs may leave gaps, so that parts of them begin with a line. The weights of gaps are zero, and
-/// stay so.
+/// Its inputs and outputs may leave gaps, so that parts of them begin with a line. The weights of
+/// gaps are zero, and stay so.
 #[derive(Clone, Debug)]
 pub(crate) struct Layer {
     /// Place of each input.

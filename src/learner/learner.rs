@@ -46,7 +46,8 @@ pub struct Learner {
     pub(crate) old: Distributions,
     /// Scale of each robot's advantages: their mean and one over their deviation.
     pub(crate) advantage_scale: Vec<(f32, f32)>,
-    /// Scale of all robots' advantages, of each mini-batch; empty where the scale is that of all samples.
+    /// Scale of all robots' advantages, of each mini-batch; empty where the scale is that of all
+    /// samples.
     pub(crate) mini_batch_scale: Vec<(f32, f32)>,
     pub(crate) reward_scale: Option<RewardScale>,
     iteration: u64,
@@ -164,8 +165,8 @@ impl Learner {
     /// Takes over a network's numbers.
     ///
     /// # Errors
-    /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not finite, which change
-    /// nothing.
+    /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not
+    /// finite, which change nothing.
     pub fn set_network(&mut self, which: Which, state: &NetworkState) -> Result<(), LearnerError> {
         let has_deviations = !self.net(which).deviations().is_empty();
         let deviations = state.weights.iter().take(usize::from(has_deviations)).flatten();
@@ -188,8 +189,9 @@ impl Learner {
         numbers.map(|x| x.clamp(RANGE[0], RANGE[1])).collect()
     }
 
-    /// A network's statistics: of a perceptron, those of the observations; of a network of joints, those of states,
-    /// of a description's numbers, of their logarithms and of the rest. Empty where nothing is normalised.
+    /// A network's statistics: of a perceptron, those of the observations; of a network of joints,
+    /// those of states, of a description's numbers, of their logarithms and of the rest. Empty
+    /// where nothing is normalised.
     pub fn normalizers(&self, which: Which) -> &[Normalizer] {
         &self.net(which).normalizers
     }
@@ -285,7 +287,8 @@ impl Learner {
         }
     }
 
-    /// Stores the observations `[envs, num_obs]` before a step, and draws the actions `[envs, num_actions]`.
+    /// Stores the observations `[envs, num_obs]` before a step, and draws the actions `[envs,
+    /// num_actions]`.
     ///
     /// # Panics
     /// If the arrays have other sizes, or all steps are taken.
@@ -363,7 +366,8 @@ impl Learner {
         self.step += 1;
     }
 
-    /// Estimates values, returns and advantages; `observations` are those after the last step, `[envs, num_obs]`.
+    /// Estimates values, returns and advantages; `observations` are those after the last step,
+    /// `[envs, num_obs]`.
     ///
     /// # Errors
     /// Another worker is gone.

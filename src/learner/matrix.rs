@@ -1,12 +1,13 @@
 //! The three matrix products of a perceptron, over lines. Nearly all time of a training is spent
 //! here.
 //!
-//! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a [`Line`], and the
-//! lines of a panel follow one another. A block of rows times two panels of columns stays in registers while the
-//! inner dimension runs, and reads memory in order.
+//! Matrices are stored by panels of sixteen columns: the sixteen numbers of a row in a panel are a
+//! [`Line`], and the lines of a panel follow one another. A block of rows times two panels of
+//! columns stays in registers while the inner dimension runs, and reads memory in order.
 //!
-//! Every number of a product is one chain of fused multiply-adds in the order of the inner dimension. So the bits
-//! depend neither on the width of the registers nor on the size of the blocks.
+//! Every number of a product is one chain of fused multiply-adds in the order of the inner
+//! dimension. So the bits depend neither on the width of the registers nor on the size of the
+//! blocks.
 
 use std::ops::Range;
 
@@ -40,7 +41,8 @@ pub(crate) struct Product<'a> {
 pub(crate) enum End<'a> {
     /// Each panel of `b` has one line more: the bias. The activation follows, if there is one.
     Bias(Option<Activation>),
-    /// The sum is multiplied by the activation's derivative at these outputs, panels `[panels][rows]`.
+    /// The sum is multiplied by the activation's derivative at these outputs, panels
+    /// `[panels][rows]`.
     Derivative(Activation, &'a [Line]),
     /// No operation.
     Plain,
@@ -125,7 +127,8 @@ impl<L: Real, K: LineKernel> Kernel<L> for OnLanes<K> {
 
 /// Sixteen lanes, and the number of registers for them.
 trait Blocking: Lanes {
-    /// Whether [`BLOCK`] rows times two panels fit into the registers; else half as many rows times one panel.
+    /// Whether [`BLOCK`] rows times two panels fit into the registers; else half as many rows times
+    /// one panel.
     const MANY_REGISTERS: bool;
 }
 

@@ -20,8 +20,8 @@ pub enum Which {
     Critic,
 }
 
-/// A network's numbers in torch's order: a perceptron's deviations of the actions, then weight `[outputs, inputs]`
-/// and bias of each layer.
+/// A network's numbers in torch's order: a perceptron's deviations of the actions, then weight
+/// `[outputs, inputs]` and bias of each layer.
 #[derive(Clone, Debug, Default)]
 pub struct NetworkState {
     /// Weights of the network.
@@ -141,7 +141,8 @@ impl Net {
         }
     }
 
-    /// Fills a tile with observations, each mirrored first where it comes with a mirror; returns the tile's rows.
+    /// Fills a tile with observations, each mirrored first where it comes with a mirror; returns
+    /// the tile's rows.
     pub(crate) fn fill(&self, samples: &[Row], bodies: &Bodies, tile: &mut Tile) -> usize {
         let inputs = match &self.model {
             Model::Joints(joints) => return joints.fill(&self.normalizers, samples, bodies, &mut tile.joints),
@@ -241,7 +242,8 @@ impl Net {
         Some(means)
     }
 
-    /// Takes the samples of an iteration into a perceptron's statistics; see [`Normalizer::update`].
+    /// Takes the samples of an iteration into a perceptron's statistics; see
+    /// [`Normalizer::update`].
     pub(crate) fn update_normalizer(&mut self, of_numbers: &[Moments], samples: u64, robots: &[Robot]) {
         let is_padded = |column: usize| robots.iter().any(|robot| !robot.has_number(column));
         let columns: Vec<usize> = match &self.columns {

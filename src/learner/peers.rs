@@ -40,7 +40,8 @@ impl Worker {
     /// A worker without peers.
     pub const ALONE: Self = Self { index: 0, count: 1 };
 
-    /// The envs that it simulates, of `num_envs` in all: whole parts, as many as the others have or one more.
+    /// The envs that it simulates, of `num_envs` in all: whole parts, as many as the others have or
+    /// one more.
     ///
     /// # Errors
     /// There are fewer parts than workers, or no worker of this number.
@@ -101,8 +102,8 @@ impl Shares {
         self.worker.count == 1
     }
 
-    /// The sum of some lists over the parts of all workers, term by term; `parts` has a list for each part of this
-    /// worker.
+    /// The sum of some lists over the parts of all workers, term by term; `parts` has a list for
+    /// each part of this worker.
     pub(crate) fn sum<T: Term>(&self, peers: &dyn Peers, parts: &[Vec<T>]) -> Result<Vec<T>, LearnerError> {
         let length = parts.first().map_or(0, Vec::len);
         let add = |mut left: Vec<T>, right: Vec<T>| {
@@ -123,14 +124,16 @@ impl Shares {
         Ok(self.top.fold(leaves, add).unwrap_or_default())
     }
 
-    /// Messages of all workers about their subtrees, `size` bytes each; in the order of the subtrees.
+    /// Messages of all workers about their subtrees, `size` bytes each; in the order of the
+    /// subtrees.
     pub(crate) fn gather(&self, peers: &dyn Peers, mine: Message, size: usize) -> Result<Vec<Vec<u8>>, LearnerError> {
         let mut mine = mine.0;
         mine.resize(self.most * size, 0);
         self.cut(&peers.gather(&mine)?, size)
     }
 
-    /// Exchanges a piece of each message; `piece` writes this worker's part about its subtrees for another worker.
+    /// Exchanges a piece of each message; `piece` writes this worker's part about its subtrees for
+    /// another worker.
     pub(crate) fn exchange(
         &self,
         peers: &dyn Peers,

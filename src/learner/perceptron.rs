@@ -125,8 +125,8 @@ impl Perceptron {
         }
     }
 
-    /// Lines in the order of torch's parameters: the further numbers, then weight `[outputs, inputs]` and bias of
-    /// each layer.
+    /// Lines in the order of torch's parameters: the further numbers, then weight `[outputs,
+    /// inputs]` and bias of each layer.
     pub(crate) fn export(&self, lines: &[Line]) -> Vec<Vec<f32>> {
         let mut all = Vec::new();
         if self.extra > 0 {

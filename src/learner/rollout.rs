@@ -1,4 +1,5 @@
-//! Samples of a part's envs in an iteration, and their values, scaled rewards, returns and advantages.
+//! Samples of a part's envs in an iteration, and their values, scaled rewards, returns and
+//! advantages.
 
 use std::ops::Range;
 
@@ -133,7 +134,8 @@ impl Part {
         rows_to_lines(observations, num_obs, &mut self.observations[first..]);
     }
 
-    /// Finds the bodies of some samples, and their mirror images, as a network of joints reads them.
+    /// Finds the bodies of some samples, and their mirror images, as a network of joints reads
+    /// them.
     pub(crate) fn find_bodies(
         &mut self,
         which: Which,
@@ -192,8 +194,8 @@ impl Part {
         }
     }
 
-    /// Follows the discounted returns through the iteration; their moments of each step and of each of the part's
-    /// robots, `[steps][blocks]`.
+    /// Follows the discounted returns through the iteration; their moments of each step and of each
+    /// of the part's robots, `[steps][blocks]`.
     pub(crate) fn discounted_returns(&mut self, gamma: f32) -> Vec<Moments> {
         let n = self.len();
         let mut moments = Vec::new();

@@ -102,7 +102,8 @@ pub struct Algorithm {
     pub max_grad_norm: f64,
     /// Whether a value may move by `clip_param` at most.
     pub use_clipped_value_loss: bool,
-    /// Kullback-Leibler divergence that the learning rate is adapted to; a fixed learning rate without.
+    /// Kullback-Leibler divergence that the learning rate is adapted to; a fixed learning rate
+    /// without.
     pub desired_kl: Option<f64>,
     /// Scale the advantages of each mini-batch separately, instead of those of all samples.
     pub normalize_advantage_per_mini_batch: bool,
@@ -132,11 +133,13 @@ impl Symmetry {
 pub struct Robot {
     /// Its envs, `[start, stop)`.
     pub envs: (usize, usize),
-    /// Mirror of each number of an observation: index and sign of its image. Empty where there is no mirror.
+    /// Mirror of each number of an observation: index and sign of its image. Empty where there is
+    /// no mirror.
     pub observation_mirror: Vec<(usize, f32)>,
     /// Mirror of each number of an action.
     pub action_mirror: Vec<(usize, f32)>,
-    /// Numbers of an observation that the robot has; all where empty. Missing ones are 0 and count for nothing.
+    /// Numbers of an observation that the robot has; all where empty. Missing ones are 0 and count
+    /// for nothing.
     pub observation_mask: Vec<bool>,
     /// Actions that the robot has; all where empty. Missing ones are 0 and count for nothing.
     pub action_mask: Vec<bool>,

@@ -1,4 +1,5 @@
-//! The update: for every mini-batch the gradients of both networks part by part, their sums, and a step of Adam.
+//! The update: for every mini-batch the gradients of both networks part by part, their sums, and a
+//! step of Adam.
 
 use std::ops::Range;
 
@@ -82,8 +83,8 @@ struct MiniBatch<'a> {
 type Sample<'a> = (usize, Option<&'a Mirror>);
 
 impl MiniBatch<'_> {
-    /// Calls `f` with the samples of a part in tiles. A network of joints gets the samples of a body one after the
-    /// other.
+    /// Calls `f` with the samples of a part in tiles. A network of joints gets the samples of a
+    /// body one after the other.
     fn for_each_tile(&self, part: &Part, net: &Net, bodies: &Bodies, mut f: impl FnMut(&[Sample])) {
         let samples = part.mini_batch(self.batch, self.settings.options.algorithm.num_mini_batches);
         for pass in 0..self.settings.options.symmetry.rows_per_sample() {
@@ -136,8 +137,8 @@ impl MiniBatch<'_> {
         entropy
     }
 
-    /// A part's share of the mean entropy, where robots have different actions; its derivatives are added to those
-    /// of the deviations.
+    /// A part's share of the mean entropy, where robots have different actions; its derivatives are
+    /// added to those of the deviations.
     fn entropy_of(&self, part: &Part, deviation: &mut [Line]) -> f64 {
         let algorithm = &self.settings.options.algorithm;
         let mut counts = vec![0usize; self.new.gaussians.len()];
@@ -251,8 +252,8 @@ type Figures = [f64; NUMBERS];
 
 /// A mini-batch's gradients of both networks, summed over the parts of all workers.
 struct Total {
-    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no images; mean entropy
-    /// of the samples, where robots have different actions.
+    /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no
+    /// images; mean entropy of the samples, where robots have different actions.
     sums: Figures,
     /// Squared norm of each network's gradient.
     squares: [f64; 2],
@@ -306,8 +307,8 @@ impl Learner {
         parts_of(*num_envs).map(of_part).sum()
     }
 
-    /// Fills `gradients` of each part and network for a mini-batch; returns the entropy, where all robots have the
-    /// same.
+    /// Fills `gradients` of each part and network for a mini-batch; returns the entropy, where all
+    /// robots have the same.
     fn compute_gradients(
         &self,
         team: &impl Team,
@@ -493,7 +494,8 @@ impl Learner {
     }
 }
 
-/// Sums the leaves of each network into its total, in the order of the tree; returns the squared norms.
+/// Sums the leaves of each network into its total, in the order of the tree; returns the squared
+/// norms.
 fn sum_lines(
     team: &impl Team,
     dispatch: SimdDispatch,
