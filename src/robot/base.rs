@@ -41,7 +41,8 @@ impl Base {
 
 /// Candidates for the base of a robot.
 pub(super) struct Bases {
-    /// The body below an empty root, or the root; then the links above whose axes are turned against it.
+    /// The body below an empty root, or the root; then the links above whose axes are turned
+    /// against it.
     pub candidates: Vec<Base>,
     /// Frame of the root in that of the first candidate.
     root: Pose,

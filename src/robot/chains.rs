@@ -160,10 +160,12 @@ impl<'a> ZeroPose<'a> {
         (0..limbs.len()).filter(is_leg).collect()
     }
 
-    /// Hip abduction, hip flexion and knee of every chain that can be a leg of a body whose legs move in planes along it.
+    /// Hip abduction, hip flexion and knee of every chain that can be a leg of a body whose legs
+    /// move in planes along it.
     ///
-    /// A leg reaches below its first joint. Its joints turn about the base's x, y and y, or there are just two, about y
-    /// and y; only when there are not as many such chains as wanted, any chain of exactly three turning joints will do.
+    /// A leg reaches below its first joint. Its joints turn about the base's x, y and y, or there
+    /// are just two, about y and y; only when there are not as many such chains as wanted, any
+    /// chain of exactly three turning joints will do.
     pub fn leg_candidates(&self, chains: &[Vec<usize>], wanted: usize) -> Vec<LegJoints> {
         let by_two = |turning: &[usize]| self.by_axes(turning).or_else(|| self.by_two(turning));
         let by_order = |turning: &[usize]| {
@@ -240,7 +242,8 @@ impl<'a> ZeroPose<'a> {
         lowest < self.position(hip).z
     }
 
-    /// Whether hip and knee have positions within their limits in which the leg hangs stretched from the hip.
+    /// Whether hip and knee have positions within their limits in which the leg hangs stretched
+    /// from the hip.
     fn can_reach_down(&self, leg: &LegJoints) -> bool {
         let (Some(hip), Some(knee)) = (leg[1], leg[2]) else {
             return false;

@@ -29,9 +29,9 @@ struct Collider {
     volume: f64,
 }
 
-/// Adds colliders and the pairs of them that can meet to an articulation without any; `align` turns a link's own axes
-/// into the engine's, `reference` is a pose (one position per joint) in which nothing is meant to collide. Returns which
-/// shapes these pairs are of, counted body after body.
+/// Adds colliders and the pairs of them that can meet to an articulation without any; `align` turns
+/// a link's own axes into the engine's, `reference` is a pose (one position per joint) in which
+/// nothing is meant to collide. Returns which shapes these pairs are of, counted body after body.
 pub(super) fn add_pairs(
     model: &Model,
     align: &[DMat3],
@@ -127,8 +127,8 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
     meet
 }
 
-/// Colliders of a shape: the shape itself where it is a sphere, a capsule or a long cylinder, else a box followed by
-/// the longest capsule inside it.
+/// Colliders of a shape: the shape itself where it is a sphere, a capsule or a long cylinder, else
+/// a box followed by the longest capsule inside it.
 fn shape_colliders(shape: &Shape, link: usize, body: usize, align: DMat3) -> Vec<Collider> {
     let centre = align * shape.origin.translation;
     let rotation = align * shape.origin.rotation;

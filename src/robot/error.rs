@@ -163,7 +163,8 @@ pub fn summed_up(warnings: &[Warning]) -> Vec<Warning> {
 /// How a joint is locked in each way to load a robot.
 pub(super) const LOCK: &str = "lock the joint in locked_joints (--lock JOINT=POSITION of check and robot new)";
 
-/// Longest name that is compared with others, bytes: the comparison takes time that grows with its square.
+/// Longest name that is compared with others, bytes: the comparison takes time that grows with its
+/// square.
 const COMPARED: usize = 256;
 /// Number of names that an error lists.
 const LISTED: usize = 24;

@@ -11,7 +11,8 @@ const SPHERE_REACH: f64 = 0.8;
 /// Components of a unit vector below this are zero: makers write right angles as 1.5708.
 const FLAT: f64 = 1e-4;
 
-/// Height of the sole, m: parts of a foot no higher than this above its lowest part belong to the sole.
+/// Height of the sole, m: parts of a foot no higher than this above its lowest part belong to the
+/// sole.
 const SOLE: f64 = 5e-3;
 
 /// Points of a hull that are no higher than this above its lowest one are its sole, m.

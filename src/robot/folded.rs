@@ -7,12 +7,14 @@ use glam::DVec3;
 use super::chains::ZeroPose;
 use super::limbs::{LimbKind, Role, Roles};
 
-/// Links that hang within this angle of straight count as straight, rad: shanks whose feet lie ahead of them, and bodies whose
-/// makers count from a slight bend. The legs of the robots in `configs/robots` are within 0.5.
+/// Links that hang within this angle of straight count as straight, rad: shanks whose feet lie
+/// ahead of them, and bodies whose makers count from a slight bend. The legs of the robots in
+/// `configs/robots` are within 0.5.
 const STRAIGHT: f64 = 0.8;
 
-/// For each slot, the position in the slot's direction at which the thigh hangs upright or the shank continues the thigh, rad;
-/// 0 where the leg is about straight at zero, and for all joints but hip flexion and knee.
+/// For each slot, the position in the slot's direction at which the thigh hangs upright or the
+/// shank continues the thigh, rad; 0 where the leg is about straight at zero, and for all joints
+/// but hip flexion and knee.
 pub(super) fn zeros(pose: &ZeroPose<'_>, roles: &Roles) -> Vec<f64> {
     let mut zeros = vec![0.0; roles.slots.len()];
     for limb in roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg) {

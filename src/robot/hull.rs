@@ -14,14 +14,16 @@ pub(super) const MAX_POINTS: usize = 32;
 /// algorithm.
 const MANY: usize = 4096;
 const DIRECTIONS: usize = 1024;
-/// A hull with all its corners that leaves a point farther outside than this, relative to its size, has failed.
+/// A hull with all its corners that leaves a point farther outside than this, relative to its size,
+/// has failed.
 const FAILURE: f64 = 1e-3;
 /// Distances below this, relative to the size, are rounding.
 const TOLERANCE: f64 = 1e-6;
 
 /// Convex hull of a mesh.
 pub(super) struct Hull {
-    /// Points that are all vertices of the mesh, at most [`MAX_POINTS`]; or the corners of its bounding box.
+    /// Points that are all vertices of the mesh, at most [`MAX_POINTS`]; or the corners of its
+    /// bounding box.
     pub points: Vec<DVec3>,
     /// Distance by which the mesh reaches beyond the hull of `points`, m.
     pub deviation: f64,
@@ -62,8 +64,8 @@ fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
     let whole = corners.len() <= MAX_POINTS;
     let mut points = corners.clone();
     if !whole {
-        // the point that sticks out most comes first; then, one after another, the point that is farthest outside the
-        // hull so far
+        // the point that sticks out most comes first; then, one after another, the point that is
+        // farthest outside the hull so far
         points = frame.extreme(&corners, lattice_directions());
         while points.len() < MAX_POINTS {
             match frame.facets(&points)?.farthest(&corners) {
@@ -77,7 +79,8 @@ fn reduced(frame: &Frame, all: &[DVec3], extreme: &[DVec3]) -> Option<Hull> {
     (!failed).then_some(Hull { points, deviation, boxed: false })
 }
 
-/// The bounding box of the points. Stretched to a cube it has the same hull, and no direction is too thin for `f32`.
+/// The bounding box of the points. Stretched to a cube it has the same hull, and no direction is
+/// too thin for `f32`.
 struct Frame {
     least: DVec3,
     size: DVec3,
@@ -141,9 +144,11 @@ impl Frame {
     }
 }
 
-/// Points in the cells of a grid over the unit cube, so that a search along a direction skips most of them.
+/// Points in the cells of a grid over the unit cube, so that a search along a direction skips most
+/// of them.
 struct Cells {
-    /// Corners of the box about the points of each cell that holds any, and where its points are in `order`.
+    /// Corners of the box about the points of each cell that holds any, and where its points are in
+    /// `order`.
     boxes: Vec<(DVec3, DVec3, std::ops::Range<usize>)>,
     /// Indices of the points, cell by cell.
     order: Vec<u32>,
@@ -152,7 +157,8 @@ struct Cells {
 impl Cells {
     /// Cells along each axis.
     const SIDE: usize = 16;
-    /// Largest rounding error of a reach, for points in the unit cube along directions of length two at most.
+    /// Largest rounding error of a reach, for points in the unit cube along directions of length
+    /// two at most.
     const ROUNDING: f64 = 1e-12;
 
     fn new(points: &[DVec3]) -> Self {

@@ -33,8 +33,8 @@ impl ZeroPose<'_> {
         }
     }
 
-    /// Turns of the joints of a chain: of axes halfway between x and z, the first is yaw where the chain has no
-    /// other, then roll.
+    /// Turns of the joints of a chain: of axes halfway between x and z, the first is yaw where the
+    /// chain has no other, then roll.
     fn turns_of(&self, chain: &[usize]) -> Vec<Turn> {
         let is_between = |joint: usize| {
             let axis = self.axis(joint).abs();
@@ -110,8 +110,8 @@ impl ZeroPose<'_> {
         is_wheel.then_some(others.len())
     }
 
-    /// The horizontal axis to the left of the direction in which a leg points away from the body; `None` for one that
-    /// hangs.
+    /// The horizontal axis to the left of the direction in which a leg points away from the body;
+    /// `None` for one that hangs.
     pub(super) fn lift_axis(&self, chain: &[usize], foot: DVec3) -> Option<DVec3> {
         let out = foot - self.position(*chain.first()?);
         let out = DVec3::new(out.x, out.y, 0.0).try_normalize()?;
@@ -186,7 +186,8 @@ impl ZeroPose<'_> {
         chain.iter().map(role).collect()
     }
 
-    /// Direction of the upper arm, from the shoulder to the elbow; down where the joints do not tell.
+    /// Direction of the upper arm, from the shoulder to the elbow; down where the joints do not
+    /// tell.
     fn upper_arm(&self, chain: &[usize]) -> DVec3 {
         let (Some(first), Some(elbow)) = (chain.first(), chain.get((chain.len() - 1).min(3))) else {
             return -DVec3::Z;
@@ -194,8 +195,9 @@ impl ZeroPose<'_> {
         (self.position(*elbow) - self.position(*first)).try_normalize().unwrap_or(-DVec3::Z)
     }
 
-    /// 1 where a joint's axis has the direction that its role states, and -1 where it is turned round. `chain` are the
-    /// joints of the limb, `lift` the axis about which a leg that points away from the body lifts.
+    /// 1 where a joint's axis has the direction that its role states, and -1 where it is turned
+    /// round. `chain` are the joints of the limb, `lift` the axis about which a leg that points
+    /// away from the body lifts.
     pub(super) fn sign(&self, joint: usize, role: Role, chain: &[usize], lift: Option<DVec3>) -> f64 {
         let axis = self.axis(joint);
         let along_stated = axis.dot(self.stated(joint, role, chain, lift));
@@ -221,7 +223,8 @@ impl ZeroPose<'_> {
         }
     }
 
-    /// For each joint of a limb, the cosine between its axis and the one that its role states, without its sign.
+    /// For each joint of a limb, the cosine between its axis and the one that its role states,
+    /// without its sign.
     pub(super) fn cosines(&self, limb: &Limb) -> Vec<f64> {
         let chain: Vec<usize> = limb.joints.iter().map(|joint| joint.joint).collect();
         let lift = self.lift_of(limb);

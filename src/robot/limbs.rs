@@ -110,12 +110,12 @@ impl Place {
     }
 }
 
-/// Role of a joint in its limb. The order is that of the slots; each says about which axis its positive direction
-/// turns, with all joints at zero: x forward, y left, z up of the base.
+/// Role of a joint in its limb. The order is that of the slots; each says about which axis its
+/// positive direction turns, with all joints at zero: x forward, y left, z up of the base.
 ///
-/// Legs at corners that move in a plane along the body have HAA, HFE and KFE. Legs that turn about z and lift
-/// (hexapods, spiders) lift about the horizontal axis to the left of the direction in which the leg points away from
-/// the body.
+/// Legs at corners that move in a plane along the body have HAA, HFE and KFE. Legs that turn about
+/// z and lift (hexapods, spiders) lift about the horizontal axis to the left of the direction in
+/// which the leg points away from the body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Role {
     /// Hip abduction, x.
@@ -356,7 +356,8 @@ pub struct LimbJoint {
     pub joint: usize,
     /// Slot of the joint: role, and column of the action.
     pub slot: Slot,
-    /// 1 where the URDF's axis has the direction that the role states, and -1 where it is turned round.
+    /// 1 where the URDF's axis has the direction that the role states, and -1 where it is turned
+    /// round.
     pub sign: f64,
 }
 
@@ -365,8 +366,8 @@ pub struct LimbJoint {
 pub struct Foot {
     /// Index in [`Model::bodies`](super::Model::bodies).
     pub body: usize,
-    /// Centre of the foot's sphere, or the middle of what is lowest of it at zero joint positions, in the frame of
-    /// the link that carries it, m.
+    /// Centre of the foot's sphere, or the middle of what is lowest of it at zero joint positions,
+    /// in the frame of the link that carries it, m.
     pub point: DVec3,
     /// Radius of the foot's sphere, or 0, m.
     pub radius: f64,
@@ -401,11 +402,12 @@ pub struct Roles {
     pub slots: Vec<Slot>,
     /// For each of `slots`, the index in [`Model::joints`](super::Model::joints).
     pub joint_of_slot: Vec<usize>,
-    /// For each of `slots`, 1 where the joint's axis has the direction that the role states, and -1 where it is
-    /// turned round.
+    /// For each of `slots`, 1 where the joint's axis has the direction that the role states, and -1
+    /// where it is turned round.
     pub sign_of_slot: Vec<f64>,
-    /// For each of `slots`, the position in the slot's direction at which a quadruped's leg hangs straight, rad: 0 unless the
-    /// file has the leg folded at zero. It makes angles of bodies comparable whose makers count them from other poses.
+    /// For each of `slots`, the position in the slot's direction at which a quadruped's leg hangs
+    /// straight, rad: 0 unless the file has the leg folded at zero. It makes angles of bodies
+    /// comparable whose makers count them from other poses.
     pub zero_of_slot: Vec<f64>,
     /// The places of the legs, in order: those of the feet.
     pub legs: Vec<Place>,

@@ -21,12 +21,14 @@ use crate::dynamics::MAX_DEPTH;
 
 /// Numbers beyond this are no robot's, in any SI unit, and the engine's products of them overflow.
 const LARGEST: f64 = 1e9;
-/// Longest offset, largest shape or mesh, and farthest link of a robot, m: beyond it lie other units alone. Robots in millimetres are
-/// read up to here, with a warning.
+/// Longest offset, largest shape or mesh, and farthest link of a robot, m: beyond it lie other
+/// units alone. Robots in millimetres are read up to here, with a warning.
 pub(super) const MAX_EXTENT: f64 = 1e3;
-/// Smallest mass of a link that moves, kg: a milligram. The engine divides by it in single precision.
+/// Smallest mass of a link that moves, kg: a milligram. The engine divides by it in single
+/// precision.
 const LIGHTEST: f64 = 1e-6;
-/// Smallest principal moment of such a link, kg m^2: a millionth of that of a milligram's ball of 1 mm.
+/// Smallest principal moment of such a link, kg m^2: a millionth of that of a milligram's ball of 1
+/// mm.
 const SMALLEST_MOMENT: f64 = 1e-18;
 /// Position limits beyond this, rad or m, are written for "none": 159 turns.
 const FARTHEST: f64 = MAX_EXTENT;
@@ -202,8 +204,8 @@ impl Merger<'_> {
         Ok(model)
     }
 
-    /// Places every URDF link, and makes the joints in an order that puts parents first: of the joints whose parent is there
-    /// already, the earliest of the file comes next.
+    /// Places every URDF link, and makes the joints in an order that puts parents first: of the
+    /// joints whose parent is there already, the earliest of the file comes next.
     fn place_all(&mut self, base: &Base, motions: &[Motion]) -> Result<(), RobotError> {
         let mut ready = BinaryHeap::new();
         self.place_with_attached(base, motions, &mut ready);

@@ -156,7 +156,8 @@ fn check_count(points: usize) -> Result<(), String> {
     Err(format!("it has more than {MAX_POINTS} vertices, faces and instances counted with theirs"))
 }
 
-/// Refuses a file before its reader takes memory: a corner of a face takes two bytes in the file and a hundred when read.
+/// Refuses a file before its reader takes memory: a corner of a face takes two bytes in the file
+/// and a hundred when read.
 fn check_obj(bytes: &[u8]) -> Result<(), String> {
     let (mut vertices, mut corners) = (0, 0);
     for line in bytes.split(|byte| *byte == b'\n') {
@@ -303,8 +304,8 @@ impl<'a, 'd> Scene<'a, 'd> {
         target.copied().ok_or_else(|| format!("<{}> names \"{name}\", which is not there", node.tag_name().name()))
     }
 
-    /// The vertex positions of a `<geometry>`, or of the one that a `<controller>` deforms; read once, however many
-    /// instances there are.
+    /// The vertex positions of a `<geometry>`, or of the one that a `<controller>` deforms; read
+    /// once, however many instances there are.
     fn positions(&mut self, instantiated: Node<'a, 'd>) -> Result<Rc<Vec<DVec3>>, String> {
         if let Some(known) = self.geometries.get(&instantiated.id()) {
             return Ok(known.clone());

@@ -4,8 +4,9 @@ use super::error::{Diagnosis, RobotError, Topic};
 use super::model::Model;
 use super::shapes::LEFT_OUT;
 
-/// An error of [`detect`](super::detect) on `model`; where collision meshes were left out or joints held that mimic others, it
-/// names the first of them and what to do about it: without its shapes a leg has no foot, without its joints it is no leg.
+/// An error of [`detect`](super::detect) on `model`; where collision meshes were left out or joints
+/// held that mimic others, it names the first of them and what to do about it: without its shapes a
+/// leg has no foot, without its joints it is no leg.
 #[must_use]
 pub fn naming_causes(error: RobotError, model: &Model) -> RobotError {
     let RobotError::Roles(mut diagnosis) = error else {

@@ -15,7 +15,8 @@ use super::pose::Pose;
 
 /// Longest offset and largest shape of a robot, m.
 pub(super) const LARGEST_LENGTH: f64 = 5.0;
-/// Length, m, beyond which an offset or shape is suspicious if it is also many times the usual one of the robot.
+/// Length, m, beyond which an offset or shape is suspicious if it is also many times the usual one
+/// of the robot.
 const LONG: f64 = 1.0;
 const TIMES_USUAL: f64 = 20.0;
 /// A mesh smaller than this is a mesh in m with a scale for mm, m.
@@ -25,7 +26,8 @@ const SMALLEST_MESH: f64 = 5e-4;
 const MOST_TURN: f64 = 4.0 * PI * 1.001;
 /// Limits beyond this are placeholders, not degrees.
 const MOST_DEGREES: f64 = 1080.0;
-/// Density that no robot has, kg/m^3, as its mass over the box about it: known ones have 20 to 400, steel 7800.
+/// Density that no robot has, kg/m^3, as its mass over the box about it: known ones have 20 to 400,
+/// steel 7800.
 const DENSEST: f64 = 15_000.0;
 /// Mass of a link below which its inertia is not checked, kg: the shapes of sensors are often
 /// tokens.
@@ -42,7 +44,8 @@ const STRONGEST: f64 = 50.0;
 /// Efforts up to this are placeholders that makers of small robots write, N m.
 const LARGEST_PLACEHOLDER: f64 = 1500.0;
 
-/// Warnings for numbers that are plausible in another unit only. `places` are where the links of the URDF are in `model`.
+/// Warnings for numbers that are plausible in another unit only. `places` are where the links of
+/// the URDF are in `model`.
 pub(super) fn implausible(
     robot: &urdf_rs::Robot,
     model: &Model,

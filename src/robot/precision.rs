@@ -10,13 +10,15 @@ use super::inertia::{MassProperties, principal_moments};
 use super::merge::MAX_EXTENT;
 use super::model::{JointKind, Model};
 
-/// Least inertia that a joint or the base moves, over that of all that hangs on it. The engine computes the former as a difference of
-/// numbers of the size of the latter, in single precision (6e-8). States became infinite at up to 1.5e-5; known robots have 2e-3 or more.
+/// Least inertia that a joint or the base moves, over that of all that hangs on it. The engine
+/// computes the former as a difference of numbers of the size of the latter, in single precision
+/// (6e-8). States became infinite at up to 1.5e-5; known robots have 2e-3 or more.
 const LEAST_SHARE: f64 = 2e-5;
 /// Farthest link, m: limbs of a humanoid in millimetres reach a little farther than one length may.
 const REACH: f64 = 2.0 * MAX_EXTENT;
-/// Extent, m, mass, kg, and principal moment of a link, kg m^2, up to which any share is taken: makers write token inertias for light
-/// links, and a chain of many links turns its first one easily.
+/// Extent, m, mass, kg, and principal moment of a link, kg m^2, up to which any share is taken:
+/// makers write token inertias for light links, and a chain of many links turns its first one
+/// easily.
 const LONG: f64 = 10.0;
 const HEAVY: f64 = 1e3;
 const BULKY: f64 = 3e4;
@@ -24,8 +26,8 @@ const BULKY: f64 = 3e4;
 /// Checks the size of the whole robot with all joints at zero, and the precision of its inertia.
 ///
 /// # Errors
-/// [`RobotError::Value`] for links farther from the base than [`REACH`], [`RobotError::Inertia`] for a robot that is too large or
-/// too heavy for its lightest part.
+/// [`RobotError::Value`] for links farther from the base than [`REACH`], [`RobotError::Inertia`]
+/// for a robot that is too large or too heavy for its lightest part.
 pub(super) fn check(model: &Model, file: &Path) -> Result<(), RobotError> {
     let poses = model.forward_kinematics(&[]);
     let distance = |link: usize| {
@@ -69,7 +71,8 @@ struct Moved {
     /// `None`: the base.
     joint: Option<usize>,
     is_prismatic: bool,
-    /// About the joint's axis, and of all that hangs on it as one body, kg m^2; kg for a prismatic joint.
+    /// About the joint's axis, and of all that hangs on it as one body, kg m^2; kg for a prismatic
+    /// joint.
     own: f64,
     whole: f64,
 }
@@ -118,7 +121,8 @@ fn moment_about(body: &MassProperties, point: DVec3) -> f64 {
     diagonal + 2.0 * body.mass * body.com.distance_squared(point)
 }
 
-/// Articulated inertia about a link's origin, in axes of the base: moment = turn w + couple v, force = couple' w + shift v.
+/// Articulated inertia about a link's origin, in axes of the base: moment = turn w + couple v,
+/// force = couple' w + shift v.
 #[derive(Clone, Copy)]
 struct Articulated {
     turn: DMat3,

@@ -1,4 +1,5 @@
-//! Bodies on four legs that move in planes along the body: hip abduction, hip flexion and knee, a leg at each corner.
+//! Bodies on four legs that move in planes along the body: hip abduction, hip flexion and knee, a
+//! leg at each corner.
 
 use glam::DVec3;
 
@@ -80,8 +81,8 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
     Ok(legs)
 }
 
-/// The index in [`LEGS`] of each found leg, by where `point` lies among all legs; `None` when two legs share a corner or
-/// one lies on a middle line.
+/// The index in [`LEGS`] of each found leg, by where `point` lies among all legs; `None` when two
+/// legs share a corner or one lies on a middle line.
 fn corners(
     named: &[Option<LegJoints>; 4],
     found: &[LegJoints],

@@ -51,13 +51,15 @@ pub(super) struct Overrides {
 
 /// Finds limbs, joint roles and feet from a robot's geometry at zero joint positions.
 ///
-/// Two legs make a biped (a humanoid, with arms), four a quadruped, six a hexapod. `joint_overrides` maps slots to joint
-/// names, `foot_overrides` the places of legs to contact bodies. A quadruped's leg whose joints are all named is taken as it
-/// is; where all joints of the robot are named, geometry is not asked.
+/// Two legs make a biped (a humanoid, with arms), four a quadruped, six a hexapod.
+/// `joint_overrides` maps slots to joint names, `foot_overrides` the places of legs to contact
+/// bodies. A quadruped's leg whose joints are all named is taken as it is; where all joints of the
+/// robot are named, geometry is not asked.
 ///
 /// # Errors
-/// [`RobotError::Options`] for overrides that name nothing, [`RobotError::Roles`] when there are not two, four or six legs,
-/// their places cannot be told, or a leg has no foot; it lists what was found.
+/// [`RobotError::Options`] for overrides that name nothing, [`RobotError::Roles`] when there are
+/// not two, four or six legs, their places cannot be told, or a leg has no foot; it lists what was
+/// found.
 pub fn detect(
     model: &Model,
     joint_overrides: &BTreeMap<String, String>,
@@ -169,7 +171,8 @@ fn named_feet(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTr
     Ok(named)
 }
 
-/// Limbs by geometry. A quadruped's joints that are named are taken into account; others are put in afterwards.
+/// Limbs by geometry. A quadruped's joints that are named are taken into account; others are put in
+/// afterwards.
 fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, RobotError> {
     let chains = pose.limb_chains();
     let mut legs = pose.grounded(&chains.limbs);

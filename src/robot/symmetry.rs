@@ -14,8 +14,8 @@ const LEAST_LENGTH: f64 = 0.004;
 /// Inertias, as the sum of the principal moments, differ by less than this share.
 const INERTIA_SHARE: f64 = 0.25;
 
-/// Warnings for limbs whose counterpart on the other side has other joints, masses, lengths or feet. A policy that learns from
-/// mirror images takes them for the same.
+/// Warnings for limbs whose counterpart on the other side has other joints, masses, lengths or
+/// feet. A policy that learns from mirror images takes them for the same.
 pub fn unequal_sides(model: &Model, roles: &Roles) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut others: Vec<&Limb> = roles.limbs.iter().filter(|limb| limb.place.side() == Side::Right).collect();
@@ -95,8 +95,8 @@ fn feet(model: &Model, left: &Limb, right: &Limb, found: &mut Vec<String>) {
     }
 }
 
-/// Sides of the box about the shapes of a link, joints at zero and along the axes of the base, and distance of its middle from
-/// the link's joint, m.
+/// Sides of the box about the shapes of a link, joints at zero and along the axes of the base, and
+/// distance of its middle from the link's joint, m.
 fn foot_size(model: &Model, link: usize) -> (DVec3, f64) {
     let pose = model.forward_kinematics(&[])[link];
     let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);

@@ -7,13 +7,15 @@ use glam::DVec3;
 use super::chains::{LimbChain, MIDDLE, ZeroPose};
 use super::limbs::{LimbKind, Place};
 
-/// A limb without a counterpart on the other side belongs to the middle if it begins, and has its centre of mass, within this
-/// share of the body's width about the middle plane: necks are not always quite in it.
+/// A limb without a counterpart on the other side belongs to the middle if it begins, and has its
+/// centre of mass, within this share of the body's width about the middle plane: necks are not
+/// always quite in it.
 const NEAR_MIDDLE: f64 = 0.25;
-/// Counterparts agree in mass and length up to this share of the larger one, and lie mirrored up to this share of the body's
-/// width.
+/// Counterparts agree in mass and length up to this share of the larger one, and lie mirrored up to
+/// this share of the body's width.
 const ALIKE: f64 = 0.25;
-/// A limb in the middle that reaches less far than this share of the arms is a head, whatever number of joints it has.
+/// A limb in the middle that reaches less far than this share of the arms is a head, whatever
+/// number of joints it has.
 const SHORT: f64 = 0.6;
 /// Joints from which a limb in the middle of a body without arms is an arm.
 const ARM_JOINTS: usize = 3;
@@ -45,7 +47,8 @@ struct Measured {
     partner: Option<usize>,
 }
 
-/// The limbs whose joints are not `taken`, counterparts on the left and on the right in the same order.
+/// The limbs whose joints are not `taken`, counterparts on the left and on the right in the same
+/// order.
 pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BTreeSet<usize>) -> Vec<UpperChain> {
     let width = (0..pose.model.joints.len()).map(|joint| pose.position(joint).y.abs()).fold(0.0, f64::max);
     let free =
@@ -106,7 +109,8 @@ fn measured(pose: &ZeroPose<'_>, joints: Vec<usize>, twigs: Vec<usize>, middle: 
     Some(Measured { joints, twigs, at, mass, centre, reach, side, partner: None })
 }
 
-/// Finds pairs of chains on both sides that agree in number of joints, mass, length and place, the nearest images first.
+/// Finds pairs of chains on both sides that agree in number of joints, mass, length and place, the
+/// nearest images first.
 fn find_partners(all: &mut [Measured], width: f64) {
     let alike = |a: f64, b: f64| (a - b).abs() <= ALIKE * a.max(b);
     let mirrored = |point: DVec3| DVec3::new(point.x, -point.y, point.z);

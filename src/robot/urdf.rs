@@ -21,8 +21,8 @@ pub struct LoadOptions {
     pub locked_joints: BTreeMap<String, f64>,
     /// Treatment of joints that mimic others.
     pub coupled: Coupled,
-    /// Keeps the root of the file as the base, also where it is an empty link: for a base that is fixed to the world, whose
-    /// root says where it stands.
+    /// Keeps the root of the file as the base, also where it is an empty link: for a base that is
+    /// fixed to the world, whose root says where it stands.
     pub keeps_root: bool,
 }
 
@@ -32,7 +32,8 @@ pub enum Coupled {
     /// They are refused unless they are locked.
     #[default]
     Refused,
-    /// They are held where they are while the joints that they mimic are at rest, with a warning each.
+    /// They are held where they are while the joints that they mimic are at rest, with a warning
+    /// each.
     Held,
 }
 
@@ -44,7 +45,8 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
     Ok(load_holding(path, options)?.0)
 }
 
-/// As [`load`], with the positions of the joints that are held because they mimic others ([`Coupled::Held`]), rad or m.
+/// As [`load`], with the positions of the joints that are held because they mimic others
+/// ([`Coupled::Held`]), rad or m.
 pub(crate) fn load_holding(path: &Path, options: &LoadOptions) -> Result<(Model, BTreeMap<String, f64>), RobotError> {
     let read_error = |problem: String, remedy: &str| RobotError::Read(Diagnosis::new(path, "file", problem, remedy));
     let bytes = files::read(path).map_err(|error| {

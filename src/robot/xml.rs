@@ -4,7 +4,8 @@ use roxmltree::{Document, ParsingOptions};
 
 /// Attributes of one element. The parser compares each with all before it.
 const MAX_ATTRIBUTES: usize = 256;
-/// Namespaces that a document declares. The parser copies those in scope for each element that declares one.
+/// Namespaces that a document declares. The parser copies those in scope for each element that
+/// declares one.
 const MAX_NAMESPACES: usize = 256;
 /// Elements, comments and pieces of text of a document. A node takes about 100 bytes.
 const MAX_NODES: u32 = 4 << 20;
@@ -36,7 +37,8 @@ pub(super) fn parse(text: &str) -> Result<Document<'_>, Fault> {
     })
 }
 
-/// Counts attributes and namespaces in one pass, since the parser takes time that grows with their square.
+/// Counts attributes and namespaces in one pass, since the parser takes time that grows with their
+/// square.
 fn check_sizes(text: &str) -> Result<(), Fault> {
     let bytes = text.as_bytes();
     let mut namespaces = 0;
