@@ -46,7 +46,8 @@ impl Layers {
         Ok(merged)
     }
 
-    /// Layers and `overrides` as a checked `T`, and the same as a table with all defaults spelled out.
+    /// Layers and `overrides` as a checked `T`, and the same as a table with all defaults spelled
+    /// out.
     ///
     /// # Errors
     /// Converts to a type; blames an objection of the type, of `validate` or of an override on the

@@ -1,4 +1,5 @@
-//! Finding robots, tasks and training configs: in folders laid out like this repository, then among those compiled in.
+//! Finding robots, tasks and training configs: in folders laid out like this repository, then among
+//! those compiled in.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -221,9 +222,10 @@ impl Library {
         Ok(networks)
     }
 
-    /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`, each `key=value`,
-    /// in order. Isaac Lab's prefix `Isaac-` before a name that nothing else has is left out. The Play variant of a
-    /// task that has no file for one is made, see [`Library::play_task`].
+    /// The task of that name, alias or file stem, or of that path to a `.toml`; then `overrides`,
+    /// each `key=value`, in order. Isaac Lab's prefix `Isaac-` before a name that nothing else has
+    /// is left out. The Play variant of a task that has no file for one is made, see
+    /// [`Library::play_task`].
     ///
     /// # Errors
     /// Unknown name, unreadable file, any mistake in the config or in an override.
@@ -238,8 +240,9 @@ impl Library {
         Ok(LoadedTask { config, resolved, hash })
     }
 
-    /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes, randomisation and
-    /// curriculum. It is the one that has a file, or else one that is made. A Play variant is its own.
+    /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes,
+    /// randomisation and curriculum. It is the one that has a file, or else one that is made. A
+    /// Play variant is its own.
     ///
     /// # Errors
     /// Unknown name, unreadable file.
@@ -263,8 +266,8 @@ impl Library {
         }
     }
 
-    /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the files `above` by
-    /// their ids: a file may extend the one of the same name that it hides.
+    /// The file `configs/train/<name>.toml`, or that of a path to a `.toml`, that is not among the
+    /// files `above` by their ids: a file may extend the one of the same name that it hides.
     ///
     /// # Errors
     /// Unknown name, unreadable file, a file that extends itself.
@@ -307,7 +310,8 @@ impl Library {
         Ok(robots)
     }
 
-    /// All tasks but for those of [`Library::broken`]: those with a file, then those made for one robot.
+    /// All tasks but for those of [`Library::broken`]: those with a file, then those made for one
+    /// robot.
     ///
     /// # Errors
     /// A root that is no folder, an unreadable folder.
@@ -327,8 +331,9 @@ impl Library {
         Ok(tasks)
     }
 
-    /// Files that [`Library::robots`] and [`Library::tasks`] leave out: the errors of files that cannot be read, are
-    /// not TOML or extend what cannot be extended. Using one of their names gives the same error.
+    /// Files that [`Library::robots`] and [`Library::tasks`] leave out: the errors of files that
+    /// cannot be read, are not TOML or extend what cannot be extended. Using one of their names
+    /// gives the same error.
     ///
     /// # Errors
     /// A root that is no folder, an unreadable folder.
@@ -451,7 +456,8 @@ impl Library {
         Ok(Layers(layers))
     }
 
-    /// Adds what a file extends, then the file; what is there already stays where it is. `path` are the files above it.
+    /// Adds what a file extends, then the file; what is there already stays where it is. `path` are
+    /// the files above it.
     fn add_layers(
         &self,
         kind: Kind,
@@ -476,8 +482,9 @@ impl Library {
         Ok(())
     }
 
-    /// The first config called `name` that is not among the files `visited`, so that a root may extend what it hides.
-    /// A name that ends in `.toml` is a path, relative to `dir` or else to the working directory.
+    /// The first config called `name` that is not among the files `visited`, so that a root may
+    /// extend what it hides. A name that ends in `.toml` is a path, relative to `dir` or else to
+    /// the working directory.
     fn find(
         &self,
         kind: Kind,
@@ -509,7 +516,8 @@ impl Library {
         let mut matching: Vec<&Document> = documents.iter().filter(|d| d.stem == name).collect();
         let mut known: Vec<String> = documents.iter().map(|d| d.stem.clone()).collect();
         let mut broken = Vec::new();
-        // other files are parsed only if no stem decides, and a broken one does not stand in the way
+        // other files are parsed only if no stem decides, and a broken one does not stand in the
+        // way
         if matches!(kind, Kind::Task) && !matching.iter().any(|document| is_free(document)) {
             for document in &documents {
                 let TaskNames { name: full, aliases } = match task_names(document) {

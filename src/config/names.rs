@@ -8,8 +8,9 @@ use super::layer::{parse, string_key};
 use super::library::PATH_VARIABLE;
 use super::suggest::nearest;
 
-/// Parts of a task's name that stand for "many robots"; put a robot's title in its place to get that robot's own task.
-/// Quadrupeds of twelve joints are made from tasks of the first family, all other bodies from those of the second.
+/// Parts of a task's name that stand for "many robots"; put a robot's title in its place to get
+/// that robot's own task. Quadrupeds of twelve joints are made from tasks of the first family, all
+/// other bodies from those of the second.
 const FAMILIES: [&str; 2] = ["HeteroQuadruped", "Legged"];
 
 /// A robot in the library's list.
@@ -71,8 +72,8 @@ pub(super) fn task_names(document: &Document) -> Result<TaskNames, ConfigError> 
     Ok(TaskNames { name, aliases })
 }
 
-/// The name of the task that the task called `task` makes for one robot, if it is one for many of its kind:
-/// robot `big_dog` makes `Walk-Big-Dog-v0` of `Walk-HeteroQuadruped-v0`.
+/// The name of the task that the task called `task` makes for one robot, if it is one for many of
+/// its kind: robot `big_dog` makes `Walk-Big-Dog-v0` of `Walk-HeteroQuadruped-v0`.
 pub(super) fn single_robot_name(task: &str, robot: &str, is_quadruped: bool) -> Option<String> {
     let family = FAMILIES[usize::from(!is_quadruped)];
     if !task.contains(family) {

@@ -14,9 +14,10 @@ const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 2] = ["scene.terrain", "sensors.height_scanner"];
 
-/// Writes one override into `resolved`, the config with all its defaults spelled out, and returns the path it wrote to.
-/// Every table on the way must exist; whether a new last key is a known one is left to the types. Elements of an array are named by
-/// index, `name` or `term`. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
+/// Writes one override into `resolved`, the config with all its defaults spelled out, and returns
+/// the path it wrote to. Every table on the way must exist; whether a new last key is a known one
+/// is left to the types. Elements of an array are named by index, `name` or `term`. The value is
+/// TOML, or a bare word, which is a string; `null` or `~` removes the key.
 ///
 /// # Errors
 /// No `=`, an unknown key, a value that is not TOML.

@@ -7,13 +7,13 @@ use super::error::{ConfigError, ConfigErrorKind};
 use super::suggest::{did_you_mean, is_slip};
 use crate::bounds::{LARGEST, Shown};
 
-/// The parameters of a term as the type `T` that the term's code reads. `T` should carry `#[serde(deny_unknown_fields)]`
-/// and may use the checks of [`values`](super::values). `element` is the dotted key of the term, such as
-/// `rewards.trot.gait`; `file` the config's file or name.
+/// The parameters of a term as the type `T` that the term's code reads. `T` should carry
+/// `#[serde(deny_unknown_fields)]` and may use the checks of [`values`](super::values). `element`
+/// is the dotted key of the term, such as `rewards.trot.gait`; `file` the config's file or name.
 ///
 /// # Errors
-/// Unknown or missing keys, values of the wrong type, not finite or of a magnitude that no simulation can use: file, key and
-/// remedy are named.
+/// Unknown or missing keys, values of the wrong type, not finite or of a magnitude that no
+/// simulation can use: file, key and remedy are named.
 pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Table) -> Result<T, ConfigError> {
     let join = |path: &str| match (element, path) {
         (_, "") => element.to_owned(),
@@ -30,7 +30,8 @@ pub fn parse_params<T: DeserializeOwned>(file: &str, element: &str, params: &Tab
         ));
     }
     let mut track = serde_path_to_error::Track::new();
-    // Erased, so that the compiler does not repeat what follows the path for every type of every term.
+    // Erased, so that the compiler does not repeat what follows the path for every type of every
+    // term.
     let mut erased =
         <dyn erased_serde::Deserializer>::erase(serde_path_to_error::Deserializer::new(params.clone(), &mut track));
     let parsed = erased_serde::deserialize(&mut erased);

@@ -1,6 +1,7 @@
 //! Quantities of configs: the range of numbers that a simulation can use, and the unit.
 //!
-//! Bounds are generous. Beyond them lies a mistake, or a number that single precision turns into an infinity or a zero.
+//! Bounds are generous. Beyond them lies a mistake, or a number that single precision turns into an
+//! infinity or a zero.
 
 /// A quantity of a config.
 pub trait Quantity {

@@ -18,13 +18,15 @@ pub struct RandomizationConfig {
     /// Coefficient of friction when sliding. Default: 0.4 to 1.
     #[serde(deserialize_with = "values::range_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: [f64; 2],
-    /// Coefficient of torsional friction, m. Default: the task's `robot_material`, and nothing is drawn.
+    /// Coefficient of torsional friction, m. Default: the task's `robot_material`, and nothing is
+    /// drawn.
     #[serde(
         deserialize_with = "values::optional_range_of::<FrictionLength, _, _>",
         skip_serializing_if = "Option::is_none"
     )]
     pub torsional_friction: Option<[f64; 2]>,
-    /// Coefficient of rolling friction, m. Default: the task's `robot_material`, and nothing is drawn.
+    /// Coefficient of rolling friction, m. Default: the task's `robot_material`, and nothing is
+    /// drawn.
     #[serde(
         deserialize_with = "values::optional_range_of::<FrictionLength, _, _>",
         skip_serializing_if = "Option::is_none"
@@ -55,7 +57,8 @@ pub struct RandomizationConfig {
     /// Each component of a torque on the base, base frame, N m. Default: 0.
     #[serde(deserialize_with = "values::range_of::<Force, _, _>")]
     pub external_torque: [f64; 2],
-    /// Fewest and most physics steps by which all targets come late, on top of the actuators' own delays. Default: none.
+    /// Fewest and most physics steps by which all targets come late, on top of the actuators' own
+    /// delays. Default: none.
     #[serde(deserialize_with = "values::step_range")]
     pub action_delay: [u32; 2],
 }
@@ -97,7 +100,8 @@ pub struct BaseComOffset {
     pub z: [f64; 2],
 }
 
-/// Operation of a drawn number on a value; names and meaning are Isaac Lab's, but for `add_effort_share`.
+/// Operation of a drawn number on a value; names and meaning are Isaac Lab's, but for
+/// `add_effort_share`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Operation {
@@ -108,8 +112,8 @@ pub enum Operation {
     Scale,
     /// Replaces it.
     Abs,
-    /// Times the joint's largest effort it is added: one range fits small and large robots. A joint whose effort is unlimited keeps
-    /// its value.
+    /// Times the joint's largest effort it is added: one range fits small and large robots. A joint
+    /// whose effort is unlimited keeps its value.
     AddEffortShare,
 }
 
@@ -134,8 +138,8 @@ pub struct Draw {
     pub operation: Operation,
     /// How it is drawn. Default: uniform.
     pub distribution: Distribution,
-    /// Lower and upper end, or mean and standard deviation; in the value's unit, for `scale` without one, and for
-    /// `add_effort_share` in the value's unit per N m.
+    /// Lower and upper end, or mean and standard deviation; in the value's unit, for `scale`
+    /// without one, and for `add_effort_share` in the value's unit per N m.
     pub distribution_params: [f64; 2],
 }
 
@@ -149,7 +153,8 @@ impl Draw {
     /// A checked draw.
     ///
     /// # Errors
-    /// Parameters that the distribution cannot have: problem and remedy, with a semicolon in between.
+    /// Parameters that the distribution cannot have: problem and remedy, with a semicolon in
+    /// between.
     pub fn new(
         operation: Operation,
         distribution: Distribution,

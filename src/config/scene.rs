@@ -25,7 +25,8 @@ const FLUSH: f64 = 1e-6;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SceneConfig {
-    /// An infinite plane at z = 0, open where a heightfield reaches below it; with terrain only its surface counts.
+    /// An infinite plane at z = 0, open where a heightfield reaches below it; with terrain only its
+    /// surface counts.
     pub ground: GroundConfig,
     /// Generated ground, in place of the plane, with the ground's surface.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -34,7 +35,8 @@ pub struct SceneConfig {
     pub obstacles: Vec<ObstacleConfig>,
     /// Where obstacles stand. Default: in every env.
     pub placement: Placement,
-    /// Distance of the points at which the articulated engine knows the height of terrain and obstacles, m. Default: 0.02.
+    /// Distance of the points at which the articulated engine knows the height of terrain and
+    /// obstacles, m. Default: 0.02.
     #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub grid_cell: f64,
 }
@@ -46,7 +48,8 @@ pub enum Placement {
     /// Every env has each of them; positions are about the env's origin.
     #[default]
     PerEnv,
-    /// There is one of each; positions are in the world, where envs have their origins on a grid or on their tiles.
+    /// There is one of each; positions are in the world, where envs have their origins on a grid or
+    /// on their tiles.
     Global,
 }
 
@@ -72,16 +75,19 @@ pub struct GroundConfig {
     /// Coefficient of friction when sliding. Default: 1.
     #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
-    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force. Default: 0.
+    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force.
+    /// Default: 0.
     #[serde(deserialize_with = "values::number_of::<FrictionLength, _, _>", skip_serializing_if = "values::is_zero")]
     pub torsional_friction: f64,
-    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force. Default: 0.
+    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force.
+    /// Default: 0.
     #[serde(deserialize_with = "values::number_of::<FrictionLength, _, _>", skip_serializing_if = "values::is_zero")]
     pub rolling_friction: f64,
     /// Share of the approach speed that is given back, 0 to 1. Default: 0.
     #[serde(deserialize_with = "values::fraction")]
     pub restitution: f64,
-    /// How ground and robot make one coefficient of static and of dynamic friction. Default: multiply.
+    /// How ground and robot make one coefficient of static and of dynamic friction. Default:
+    /// multiply.
     pub friction_combine: FrictionCombine,
 }
 
@@ -112,8 +118,9 @@ pub enum FrictionCombine {
     Max,
 }
 
-/// Something that does not move. `position` is about the env's origin or in the world (see [`Placement`]), m; `rpy` are roll, pitch and yaw about fixed axes as in a
-/// URDF, rad, zero by default.
+/// Something that does not move. `position` is about the env's origin or in the world (see
+/// [`Placement`]), m; `rpy` are roll, pitch and yaw about fixed axes as in a URDF, rad, zero by
+/// default.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(tag = "shape", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ObstacleConfig {
@@ -182,8 +189,8 @@ pub enum ObstacleConfig {
     },
     /// The triangles of a mesh.
     Mesh {
-        /// STL or OBJ, in m, relative to the file that names it. While the task is loaded it is read into `vertices` and
-        /// `triangles`, which then stand in its place.
+        /// STL or OBJ, in m, relative to the file that names it. While the task is loaded it is
+        /// read into `vertices` and `triangles`, which then stand in its place.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<PathBuf>,
         /// Factor along each of the mesh's own axes, above 0. Default: 1.
@@ -201,8 +208,8 @@ pub enum ObstacleConfig {
         #[serde(default)]
         triangles: Vec<[u32; 3]>,
     },
-    /// A surface over a rectangle, two triangles between four heights. Where some are below the ground, there is no plane in the
-    /// rectangle.
+    /// A surface over a rectangle, two triangles between four heights. Where some are below the
+    /// ground, there is no plane in the rectangle.
     Heightfield {
         /// Edge lengths along x and y, m.
         size: [f64; 2],
@@ -262,8 +269,8 @@ impl ObstacleConfig {
         }
     }
 
-    /// The rectangle of a heightfield that reaches below the ground, as its corners of smallest and largest x and y, m: the plane is open
-    /// there, and the field's heights are the ground.
+    /// The rectangle of a heightfield that reaches below the ground, as its corners of smallest and
+    /// largest x and y, m: the plane is open there, and the field's heights are the ground.
     pub fn pit(&self) -> Option<[[f64; 2]; 2]> {
         let Self::Heightfield { size, heights, position: [x, y, z], .. } = self else {
             return None;
@@ -284,7 +291,8 @@ impl ObstacleConfig {
         }
     }
 
-    /// Whether it is larger or farther away than anything in a world of robots; heights are looked for from 100 m downwards.
+    /// Whether it is larger or farther away than anything in a world of robots; heights are looked
+    /// for from 100 m downwards.
     pub(super) fn is_out_of_reach(&self) -> bool {
         let ([x, y, z], rpy) = self.placement();
         let within = |numbers: &[f64], most: f64| numbers.iter().all(|number| number.abs() <= most);
@@ -339,8 +347,8 @@ impl ObstacleConfig {
     }
 }
 
-/// Reads the files that the mesh obstacles of a task's table name, relative to `dir`, into the table in place of their
-/// names: nothing needs them from then on.
+/// Reads the files that the mesh obstacles of a task's table name, relative to `dir`, into the
+/// table in place of their names: nothing needs them from then on.
 ///
 /// # Errors
 /// A file that cannot be read, or has too many triangles; without the name of the task's file.

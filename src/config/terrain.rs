@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 use super::quantities::{Difficulty, Extent, Height, Length, Proportion, Rise, Slope, Spacing, SteepSlope};
 use super::values;
 
-/// Tiles side by side in a grid about the world's origin: along x they grow harder, along y their type changes. Field names and
-/// meaning are those of Isaac Lab's terrain generator.
+/// Tiles side by side in a grid about the world's origin: along x they grow harder, along y their
+/// type changes. Field names and meaning are those of Isaac Lab's terrain generator.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct TerrainConfig {
@@ -28,7 +28,8 @@ pub struct TerrainConfig {
     /// Step of the heights of height fields, m. Default: 0.005.
     #[serde(default = "vertical_scale", deserialize_with = "values::number_of::<Spacing, _, _>")]
     pub vertical_scale: f64,
-    /// Faces of height fields that are steeper than this become vertical, rise over run. Default: 0.75.
+    /// Faces of height fields that are steeper than this become vertical, rise over run. Default:
+    /// 0.75.
     #[serde(default = "slope_threshold", deserialize_with = "values::number_of::<SteepSlope, _, _>")]
     pub slope_threshold: f64,
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
@@ -173,7 +174,8 @@ pub struct SlopeConfig {
 
 /// Vertices that a height field may have along a side.
 const MOST_VERTICES: f64 = 4000.0;
-/// Vertices of all tiles: with their triangles and the trees that find these they take about a gigabyte.
+/// Vertices of all tiles: with their triangles and the trees that find these they take about a
+/// gigabyte.
 const MOST_VERTICES_IN_ALL: f64 = 8e6;
 
 impl TerrainConfig {

@@ -1,5 +1,6 @@
-//! Checked values: functions for `#[serde(deserialize_with = "...")]`, for the types of this module and for the parameters
-//! of terms. Each error message holds the problem and, after a semicolon, the remedy.
+//! Checked values: functions for `#[serde(deserialize_with = "...")]`, for the types of this module
+//! and for the parameters of terms. Each error message holds the problem and, after a semicolon,
+//! the remedy.
 
 use std::collections::BTreeMap;
 use std::marker::PhantomData;
