@@ -7,8 +7,9 @@ use glam::{DMat3, DVec3};
 use super::stance::{GRAVITY, REACHED, ROUNDS, centre_of_mass, nearest_to_zero, range};
 use crate::robot::{Limb, LimbKind, Model, Place, Pose, Role, Roles};
 
-/// Share of a leg's length by which the foot lies below the hip: of four legs or more as of quadrupeds of twelve joints, of two
-/// legs on soles and on points. Humanoids of `configs/robots` stand at 0.92 to 0.98.
+/// Share of a leg's length by which the foot lies below the hip: of four legs or more as of
+/// quadrupeds of twelve joints, of two legs on soles and on points. Humanoids of `configs/robots`
+/// stand at 0.92 to 0.98.
 const CROUCH: f64 = 0.72;
 const ON_SOLES: f64 = 0.93;
 const ON_POINTS: f64 = 0.9;
@@ -277,7 +278,8 @@ impl<'a> Leg<'a> {
         })
     }
 
-    /// The best of a grid of positions of hip and knee with the knee on one side of straight, the ankle keeping the sole level.
+    /// The best of a grid of positions of hip and knee with the knee on one side of straight, the
+    /// ankle keeping the sole level.
     fn nearest_start(&self, model: &Model, target: DVec3, side: f64, q: &[f64]) -> Option<Vec<f64>> {
         let of = |is: fn(Role) -> bool| self.limb.joints.iter().find(|own| is(own.slot.role));
         let (hip, knee) = (of(|role| matches!(role, Role::Hfe | Role::HipPitch))?, of(Role::is_knee)?);
@@ -330,8 +332,8 @@ impl<'a> Leg<'a> {
         errors
     }
 
-    /// Damped Gauss-Newton steps within the ranges. With `holds`, joints whose step leads out of their range stay, and the others take
-    /// a step without them.
+    /// Damped Gauss-Newton steps within the ranges. With `holds`, joints whose step leads out of
+    /// their range stay, and the others take a step without them.
     fn refine(&self, model: &Model, target: DVec3, start: &[f64], holds: bool, q: &mut [f64]) {
         let ranges: Vec<RangeInclusive<f64>> = self.free.iter().map(|&joint| range(model, joint)).collect();
         let squares = |errors: &[f64]| errors.iter().map(|e| e * e).sum::<f64>();

@@ -10,12 +10,13 @@ use super::stance::GRAVITY;
 /// Froude number v^2 / (g L) of the fastest command ahead: a brisk walk or a trot, as in the
 /// training of drawn bodies and of robots in `configs/robots`.
 const FROUDE: f64 = 0.25;
-/// Shares of that speed backwards and sideways: of quadrupeds, of two legs, and of legs that point away from the body, whose
-/// share ahead is the third.
+/// Shares of that speed backwards and sideways: of quadrupeds, of two legs, and of legs that point
+/// away from the body, whose share ahead is the third.
 const BACKWARDS: [f64; 3] = [1.0, 0.5, 0.6];
 const SIDEWAYS: [f64; 3] = [1.0, 0.4, 0.4];
 const AHEAD: [f64; 3] = [1.0, 1.0, 0.6];
-/// Yaw rate of legs that step sideways or turn about z, and of legs that turn the body by steps of unequal length, rad/s.
+/// Yaw rate of legs that step sideways or turn about z, and of legs that turn the body by steps of
+/// unequal length, rad/s.
 const TURN: f64 = 1.0;
 const SKID: f64 = 0.5;
 /// A joint moves a foot sideways if it moves it by this share of the leg's length per rad.

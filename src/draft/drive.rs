@@ -1,4 +1,5 @@
-//! Gains and limits of a draft: the URDF's limits where it has any, and the rest from weight, leg length and effort.
+//! Gains and limits of a draft: the URDF's limits where it has any, and the rest from weight, leg
+//! length and effort.
 
 use crate::robot::{Joint, LimbKind, Model, Role, Roles};
 
@@ -6,10 +7,11 @@ use super::body;
 use super::round;
 use super::stance::GRAVITY;
 
-/// Stiffness of a leg, per rad: the geometric mean of these shares of weight times leg length and of the median effort limit
-/// of the hips and knees. Quadrupeds of `configs/robots` have 0.22 to 0.64 of the one and 0.6 to 2.8 of the other; the mean
-/// of both is nearer to each of them than either share. The first holds for `USUAL_MASS` and falls with this power of the
-/// mass: light robots are stiffer. Without effort limits it is the first alone.
+/// Stiffness of a leg, per rad: the geometric mean of these shares of weight times leg length and
+/// of the median effort limit of the hips and knees. Quadrupeds of `configs/robots` have 0.22 to
+/// 0.64 of the one and 0.6 to 2.8 of the other; the mean of both is nearer to each of them than
+/// either share. The first holds for `USUAL_MASS` and falls with this power of the mass: light
+/// robots are stiffer. Without effort limits it is the first alone.
 const STIFFNESS_OF_LOAD: f64 = 0.5;
 const STIFFNESS_OF_EFFORT: f64 = 1.25;
 const USUAL_MASS: f64 = 15.0;
@@ -21,21 +23,22 @@ const STIFFNESS_BOUNDS: [f64; 2] = [0.25, 0.8];
 /// a hip, and let a policy balance.
 const STIFFNESS_OF_TWO_LEGS: f64 = 0.7;
 const DAMPING_OF_TWO_LEGS: f64 = 1.0 / 40.0;
-/// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds in `configs/robots` have 1/50
-/// to 1/25, the lightest ones most.
+/// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds
+/// in `configs/robots` have 1/50 to 1/25, the lightest ones most.
 const DAMPING: f64 = 1.0 / 36.0;
-/// Effort limit over weight times leg length where the URDF has none, of hips and knees and of ankles. Legs in
-/// `configs/robots` have 0.16 to 1.2 and 0.06 to 0.29.
+/// Effort limit over weight times leg length where the URDF has none, of hips and knees and of
+/// ankles. Legs in `configs/robots` have 0.16 to 1.2 and 0.06 to 0.29.
 const EFFORT: f64 = 0.35;
 const ANKLE_EFFORT: f64 = 0.15;
-/// Effort limits beyond this multiple of weight times leg length, and of this many N m, are placeholders; the strongest motors in
-/// `configs/robots` have 1.2 times and 300 N m.
+/// Effort limits beyond this multiple of weight times leg length, and of this many N m, are
+/// placeholders; the strongest motors in `configs/robots` have 1.2 times and 300 N m.
 const MOST_LOADS: f64 = 2.0;
 const MOST_EFFORT: f64 = 1000.0;
 /// Speed limit where the URDF has none, of a leg of 1 m, rad/s m^0.5: by dynamic similarity speeds
 /// fall with the root of the length.
 const SPEED: f64 = 12.6;
-/// Speed limits beyond this are placeholders, rad/s; the fastest motor in `configs/robots` reaches 52.
+/// Speed limits beyond this are placeholders, rad/s; the fastest motor in `configs/robots` reaches
+/// 52.
 const MOST_SPEED: f64 = 100.0;
 /// Drives of joints that carry an arm, a head or a torso: stiffness and effort limit over the
 /// largest moment of gravity about them, and the least stiffness over weight times leg length. Arms

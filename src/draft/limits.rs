@@ -5,7 +5,8 @@ use std::f64::consts::TAU;
 
 use crate::robot::{Model, Role, Roles};
 
-/// Joints whose limits are this far apart turn freely, rad: URDFs without limits have -6.28 .. 6.28 or more.
+/// Joints whose limits are this far apart turn freely, rad: URDFs without limits have -6.28 .. 6.28
+/// or more.
 const FREELY: f64 = 6.0;
 /// Limits of such joints from where the leg hangs straight, rad, as in drawn bodies: abduction, and
 /// hip and knee of a leg whose knee bends to the rear. A knee does not pass straight.

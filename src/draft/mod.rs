@@ -21,9 +21,11 @@ use drive::{Drive, Drives, Limit};
 use quadruped::Legs;
 use stance::{GRAVITY, REACHED, Stance, nearest_to_zero};
 
-/// A joint whose links weigh less than this share of the robot and carry no foot is a rod or a gear of a linkage.
+/// A joint whose links weigh less than this share of the robot and carry no foot is a rod or a gear
+/// of a linkage.
 const LINKAGE: f64 = 0.003;
-/// Radians of joint target per unit of action: of quadrupeds and hexapods, and of bodies on two legs.
+/// Radians of joint target per unit of action: of quadrupeds and hexapods, and of bodies on two
+/// legs.
 const ACTION_SCALES: [f64; 2] = [0.25, 0.5];
 /// Share of the effort limit that standing may take.
 const STANDING_EFFORT: f64 = 0.5;
@@ -112,14 +114,16 @@ struct Drafted {
     drive: Drive,
 }
 
-/// Drafts the config of the robot whose URDF is at `file`: roles and feet from geometry, a standing pose with the feet level, gains in
-/// proportion to weight times leg length, rewards as of the known robot of its class whose mass is nearest.
+/// Drafts the config of the robot whose URDF is at `file`: roles and feet from geometry, a standing
+/// pose with the feet level, gains in proportion to weight times leg length, rewards as of the
+/// known robot of its class whose mass is nearest.
 ///
 /// A quadruped with twelve joints in its legs keeps those joints alone, in a pose that policies of
 /// the known robots know. Other bodies keep all joints but fingers, toes, wheels and slides.
 ///
 /// # Errors
-/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a robot of `POLYPOD_PATH` that cannot be read.
+/// A name without letters or digits; those of [`load`] and [`detect`](crate::robot::detect); a
+/// robot of `POLYPOD_PATH` that cannot be read.
 pub fn draft(file: &Path, options: &DraftOptions) -> Result<Draft, Error> {
     if let Some(name) = &options.name
         && !name.contains(|c: char| c.is_ascii_alphanumeric())

@@ -8,9 +8,10 @@ use super::quadruped::Legs;
 use crate::config::EARTH_GRAVITY;
 use crate::robot::{Joint, LEGS, Model, Pose};
 
-/// Share of thigh and shank together by which the foot lies below the hip. This and the next two are the pose in which most
-/// of the known quadrupeds are trained (thighs 0.8 rad to the rear in front and 1.0 behind, knees bent by 1.5, legs 0.1
-/// outwards: Isaac Lab), with all feet on one level: a policy walks best from a pose that it knows.
+/// Share of thigh and shank together by which the foot lies below the hip. This and the next two
+/// are the pose in which most of the known quadrupeds are trained (thighs 0.8 rad to the rear in
+/// front and 1.0 behind, knees bent by 1.5, legs 0.1 outwards: Isaac Lab), with all feet on one
+/// level: a policy walks best from a pose that it knows.
 const CROUCH: f64 = 0.72;
 /// Distance of front and hind feet behind their hips, as the same share.
 const BEHIND: [f64; 2] = [0.037, 0.181];
@@ -30,7 +31,8 @@ pub(super) const REACHED: f64 = 1e-3;
 /// Gravity, m/s^2: a robot is drafted to stand on Earth.
 pub(super) const GRAVITY: f64 = EARTH_GRAVITY;
 
-/// A pose with bent knees in which all feet stand level, behind and outside the hips, about the centre of mass.
+/// A pose with bent knees in which all feet stand level, behind and outside the hips, about the
+/// centre of mass.
 pub(super) struct Stance {
     /// Joint angles by canonical slot, rad.
     pub angles: [f64; 12],
@@ -40,7 +42,8 @@ pub(super) struct Stance {
     pub height: f64,
     /// Mean length of thigh and shank together, m.
     pub leg_length: f64,
-    /// Largest torque that the joints of each role bear while each foot carries a quarter of the weight, N m.
+    /// Largest torque that the joints of each role bear while each foot carries a quarter of the
+    /// weight, N m.
     pub torques: [f64; 3],
 }
 
@@ -77,7 +80,8 @@ struct Leg {
     foot_link: usize,
     foot_point: DVec3,
     radius: f64,
-    /// The hip flexion joint with the leg upright, between left and right at the axis of abduction, base frame, m.
+    /// The hip flexion joint with the leg upright, between left and right at the axis of abduction,
+    /// base frame, m.
     hip: DVec3,
     /// Length of thigh and shank together, m.
     length: f64,
