@@ -48,7 +48,8 @@ impl Env {
         }
     }
 
-    /// Whether the lists are as long as those of `other`, and contacts are a robot's of this topology.
+    /// Whether the lists are as long as those of `other`, and contacts are a robot's of this
+    /// topology.
     pub(super) fn fits(&self, other: &Self, topology: &Topology) -> bool {
         self.qpos.len() == other.qpos.len()
             && self.qvel.len() == other.qvel.len()

@@ -1,9 +1,10 @@
 //! Physics without a task: any tree of links that a URDF describes, in many envs at once.
 //!
-//! Arrays are row-major slices of `f64`, one row per env. Generalised positions `qpos` are the base's position in the world
-//! (3, m), its orientation (w, x, y, z) and the joints' positions (rad or m) in the order of
-//! [`joint_names`](Simulation::joint_names); velocities `qvel` are the linear velocity of the base's origin in world axes
-//! (3, m/s), its angular velocity in base axes (3, rad/s) and the joints'. A fixed base has joints only.
+//! Arrays are row-major slices of `f64`, one row per env. Generalised positions `qpos` are the
+//! base's position in the world (3, m), its orientation (w, x, y, z) and the joints' positions (rad
+//! or m) in the order of [`joint_names`](Simulation::joint_names); velocities `qvel` are the linear
+//! velocity of the base's origin in world axes (3, m/s), its angular velocity in base axes (3,
+//! rad/s) and the joints'. A fixed base has joints only.
 //!
 //! ```
 //! use polypod::{Control, Simulation, SimulationOptions};
@@ -47,7 +48,8 @@ const MAX_RUN: usize = 32;
 /// `[num_envs, joints]`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Control<'a> {
-    /// Joint efforts, N m or N, within the effort limit; excludes `targets`. With neither the joints are passive.
+    /// Joint efforts, N m or N, within the effort limit; excludes `targets`. With neither the
+    /// joints are passive.
     pub torque: Option<&'a [f64]>,
     /// Joint positions that the gains pull to, rad or m.
     pub targets: Option<&'a [f64]>,
@@ -57,8 +59,8 @@ pub struct Control<'a> {
     pub kd: Option<&'a [f64]>,
     /// Largest effort, N m or N; kept for later steps. Infinity: no limit.
     pub effort_limit: Option<&'a [f64]>,
-    /// Whether the gains act on the end of each physics step, stable with any gains, or on its beginning. Default: what the
-    /// robot's config says, which is the end unless it is `explicit`.
+    /// Whether the gains act on the end of each physics step, stable with any gains, or on its
+    /// beginning. Default: what the robot's config says, which is the end unless it is `explicit`.
     pub implicit: Option<bool>,
 }
 
@@ -203,7 +205,8 @@ impl Simulation {
         self.robot.model.joints.iter().map(|joint| joint.name.as_str()).collect()
     }
 
-    /// Names of the links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it.
+    /// Names of the links, as in the URDF: the base, then what each joint moves. Links fixed to
+    /// another are part of it.
     pub fn link_names(&self) -> Vec<&str> {
         self.robot.model.links.iter().map(|link| link.name.as_str()).collect()
     }
@@ -289,7 +292,8 @@ impl Simulation {
     /// actuators lose their memory there.
     ///
     /// # Errors
-    /// Another number of values, one that is not finite, a quaternion of length zero, or an env that does not exist.
+    /// Another number of values, one that is not finite, a quaternion of length zero, or an env
+    /// that does not exist.
     pub fn set_state(
         &mut self,
         env_ids: Option<&[usize]>,

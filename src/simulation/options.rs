@@ -22,39 +22,46 @@ pub enum Precision {
 /// Options of a simulation. [`SimulationOptions::new`] has the defaults.
 #[derive(Clone, Debug)]
 pub struct SimulationOptions {
-    /// Name of a robot of the library, path of a robot's `.toml`, or path of a URDF (it ends in `.urdf` or exists).
+    /// Name of a robot of the library, path of a robot's `.toml`, or path of a URDF (it ends in
+    /// `.urdf` or exists).
     pub robot: String,
     /// Number of envs, one robot each. Default: 1.
     pub num_envs: usize,
     /// Physics step, s, at least 1e-6. Default: 0.005.
     pub dt: f64,
-    /// Normal of the ground plane through the world's origin, of any length; `None`: no ground. Default: (0, 0, 1).
+    /// Normal of the ground plane through the world's origin, of any length; `None`: no ground.
+    /// Default: (0, 0, 1).
     pub ground: Option<[f64; 3]>,
     /// Gravity in world axes, m/s^2. Default: (0, 0, -9.81).
     pub gravity: [f64; 3],
-    /// The physics engine. `articulated`, the default, moves joints and has no other degrees of freedom. `avian` has
-    /// Avian's rigid bodies with polypod's joints between them: single precision, revolute joints, no shapes on a base
-    /// that is fixed, and one friction coefficient, the dynamic one.
+    /// The physics engine. `articulated`, the default, moves joints and has no other degrees of
+    /// freedom. `avian` has Avian's rigid bodies with polypod's joints between them: single
+    /// precision, revolute joints, no shapes on a base that is fixed, and one friction coefficient,
+    /// the dynamic one.
     pub engine: String,
     /// Fix the base to the world, at its origin. Default: no.
     pub fixed_base: bool,
     /// Folder of each package in `package://<package>/...` mesh names.
     pub package_dirs: BTreeMap<String, PathBuf>,
-    /// Joints to hold at a position (rad or m): they become part of their parent link. Joints of a URDF that mimic others are
-    /// held in any case, with a warning. Default: those of the robot's config.
+    /// Joints to hold at a position (rad or m): they become part of their parent link. Joints of a
+    /// URDF that mimic others are held in any case, with a warning. Default: those of the robot's
+    /// config.
     pub locked_joints: BTreeMap<String, f64>,
     /// Static and dynamic friction coefficient, robot and ground combined. Default: 1.
     pub friction: [f64; 2],
-    /// Coefficient of torsional friction, robot and ground combined, m: torque about a contact's normal per normal force. Default: 0.
+    /// Coefficient of torsional friction, robot and ground combined, m: torque about a contact's
+    /// normal per normal force. Default: 0.
     pub torsional_friction: f64,
-    /// Coefficient of rolling friction, robot and ground combined, m: torque across a contact's normal per normal force. Default: 0.
+    /// Coefficient of rolling friction, robot and ground combined, m: torque across a contact's
+    /// normal per normal force. Default: 0.
     pub rolling_friction: f64,
     /// Restitution coefficient, robot and ground combined. Default: 0.
     pub restitution: f64,
-    /// Reflected rotor inertia, kg m^2: one number or `[joints]`. Default: the robot's, 0 for a URDF.
+    /// Reflected rotor inertia, kg m^2: one number or `[joints]`. Default: the robot's, 0 for a
+    /// URDF.
     pub armature: Option<Vec<f64>>,
-    /// Whether links of a robot collide with one another, but for those joined by a joint or touching in the default pose.
-    /// Default: what the robot's config says; no for a URDF.
+    /// Whether links of a robot collide with one another, but for those joined by a joint or
+    /// touching in the default pose. Default: what the robot's config says; no for a URDF.
     pub self_collision: Option<bool>,
     /// Sweeps of the articulated engine's contact solver per physics step. Default: 4.
     pub solver_iterations: usize,

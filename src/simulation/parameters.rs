@@ -73,7 +73,8 @@ impl Simulation {
         }
     }
 
-    /// Sets a number of every joint in some envs. Numbers that a caller repeats with every step cost no upload.
+    /// Sets a number of every joint in some envs. Numbers that a caller repeats with every step
+    /// cost no upload.
     fn edit_joints(&mut self, envs: &EnvIds, list: JointList, rows: &Rows) {
         let round = self.rounding();
         for row in 0..envs.len() {
@@ -93,8 +94,8 @@ impl Simulation {
         }
     }
 
-    /// Sets a link's mass, kg: one number or one per env. Its inertia about the centre of mass is scaled along, as if the
-    /// density had changed; set the inertia afterwards if it did not.
+    /// Sets a link's mass, kg: one number or one per env. Its inertia about the centre of mass is
+    /// scaled along, as if the density had changed; set the inertia afterwards if it did not.
     ///
     /// # Errors
     /// A mass that is not positive, another number of values, no such link or env.
@@ -136,8 +137,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Sets a link's inertia about its centre of mass in the axes of its URDF frame, kg m^2: xx, yy, zz, xy, xz, yz, once
-    /// or per env.
+    /// Sets a link's inertia about its centre of mass in the axes of its URDF frame, kg m^2: xx,
+    /// yy, zz, xy, xz, yz, once or per env.
     ///
     /// # Errors
     /// An inertia that no body can have, another number of values, no such link or env.
@@ -167,8 +168,9 @@ impl Simulation {
         Ok(())
     }
 
-    /// Sets the friction coefficients between robot and ground, already combined: one number or one per env. The dynamic
-    /// one is the static one unless given. Torsional and rolling friction stay.
+    /// Sets the friction coefficients between robot and ground, already combined: one number or one
+    /// per env. The dynamic one is the static one unless given. Torsional and rolling friction
+    /// stay.
     ///
     /// # Errors
     /// A negative coefficient, another number of values, no such env.
@@ -192,7 +194,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Sets stiffness (N m/rad), damping (N m s/rad) or both: one number, `[joints]` or `[n, joints]`.
+    /// Sets stiffness (N m/rad), damping (N m s/rad) or both: one number, `[joints]` or `[n,
+    /// joints]`.
     ///
     /// # Errors
     /// A negative gain, another number of values, no such env.
@@ -226,8 +229,9 @@ impl Simulation {
         Ok(())
     }
 
-    /// Sets the largest effort of the actuators, N m or N: one number, `[joints]` or `[n, joints]`; infinity for none. A
-    /// limit that depends on the position is scaled so that this is its largest value.
+    /// Sets the largest effort of the actuators, N m or N: one number, `[joints]` or `[n, joints]`;
+    /// infinity for none. A limit that depends on the position is scaled so that this is its
+    /// largest value.
     ///
     /// # Errors
     /// A negative limit, another number of values, no such env.
@@ -250,7 +254,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Sets the reflected rotor inertia of the joints, kg m^2 or kg: one number, `[joints]` or `[n, joints]`.
+    /// Sets the reflected rotor inertia of the joints, kg m^2 or kg: one number, `[joints]` or `[n,
+    /// joints]`.
     ///
     /// # Errors
     /// A negative value, another number of values, no such env.
@@ -268,8 +273,8 @@ fn matrix([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> DMat3 {
     DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz))
 }
 
-/// Whether a mass distribution can have this inertia: `I` and `tr(I) / 2 - I` are positive definite, the latter but for
-/// rounding, because that of a flat body is singular.
+/// Whether a mass distribution can have this inertia: `I` and `tr(I) / 2 - I` are positive
+/// definite, the latter but for rounding, because that of a flat body is singular.
 fn is_physical(inertia: [f64; 6]) -> bool {
     let inertia = matrix(inertia);
     let trace = inertia.x_axis.x + inertia.y_axis.y + inertia.z_axis.z;

@@ -1,6 +1,7 @@
 //! Poses, velocities and the terms of the equations of motion.
 //!
-//! All are computed in double precision from the present state, whatever the precision of the simulation.
+//! All are computed in double precision from the present state, whatever the precision of the
+//! simulation.
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -109,8 +110,8 @@ impl Simulation {
         self.query(self.nv(), |body, _, out| out.copy_from_slice(&f64::bias_force(body)))
     }
 
-    /// Accelerations, `[num_envs, nv]`, that generalised forces cause: one per joint or degree of freedom, for all envs or
-    /// each. Without contacts, joint limits, damping and friction.
+    /// Accelerations, `[num_envs, nv]`, that generalised forces cause: one per joint or degree of
+    /// freedom, for all envs or each. Without contacts, joint limits, damping and friction.
     ///
     /// # Errors
     /// Another number of values, or one that is not finite.
@@ -126,7 +127,8 @@ impl Simulation {
         }))
     }
 
-    /// Generalised forces, `[num_envs, nv]`, that cause the accelerations `qacc`, `[nv]` or `[num_envs, nv]`.
+    /// Generalised forces, `[num_envs, nv]`, that cause the accelerations `qacc`, `[nv]` or
+    /// `[num_envs, nv]`.
     ///
     /// # Errors
     /// Another number of values, or one that is not finite.
@@ -139,8 +141,8 @@ impl Simulation {
         }))
     }
 
-    /// Jacobian of a point of a link, given in its URDF frame, m, `[num_envs, 6, nv]`: linear velocity of the point, then
-    /// angular velocity of the link, world axes.
+    /// Jacobian of a point of a link, given in its URDF frame, m, `[num_envs, 6, nv]`: linear
+    /// velocity of the point, then angular velocity of the link, world axes.
     ///
     /// # Errors
     /// No such link, or a point that is not finite.
@@ -151,8 +153,8 @@ impl Simulation {
         Ok(self.query(6 * self.nv(), |body, _, out| out.copy_from_slice(&f64::jacobian(body, link, &point))))
     }
 
-    /// Distance of each link's shapes from the ground, m, negative inside it, `[num_envs, links]`; infinite for a link
-    /// without shapes and without ground.
+    /// Distance of each link's shapes from the ground, m, negative inside it, `[num_envs, links]`;
+    /// infinite for a link without shapes and without ground.
     pub fn ground_gap(&self) -> Vec<f64> {
         let topology = &self.robot.topology;
         self.query(self.num_links(), |body, _, out| {
@@ -164,8 +166,8 @@ impl Simulation {
         })
     }
 
-    /// Kinetic energy, armature included, and potential energy in gravity, zero at the world's origin, J, `[num_envs]`
-    /// each.
+    /// Kinetic energy, armature included, and potential energy in gravity, zero at the world's
+    /// origin, J, `[num_envs]` each.
     pub fn energy(&self) -> (Vec<f64>, Vec<f64>) {
         let rows = self.query(2, |body, _, out| (out[0], out[1]) = f64::energy(body));
         split_columns(&rows, 2, 1)
@@ -176,8 +178,8 @@ impl Simulation {
         self.query(3, |body, _, out| out.copy_from_slice(&f64::center_of_mass(body)))
     }
 
-    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, world axes, `[num_envs, 3]` each;
-    /// without rotors.
+    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, world
+    /// axes, `[num_envs, 3]` each; without rotors.
     pub fn momentum(&self) -> (Vec<f64>, Vec<f64>) {
         let rows = self.query(6, |body, _, out| {
             let (linear, angular) = f64::momentum(body);

@@ -47,7 +47,8 @@ pub(super) struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Checks the length, 1, `width` or `rows * width`, and that all are finite in single precision.
+    /// Checks the length, 1, `width` or `rows * width`, and that all are finite in single
+    /// precision.
     pub(super) fn of_joints(
         element: &'static str,
         values: &'a [f64],
