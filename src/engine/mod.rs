@@ -30,9 +30,10 @@ pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, 
 
 /// Steps the bodies of a task's robots.
 ///
-/// The pipeline keeps the robots' states in components and hands them over in blocks: slices of one morphology's robots, in the order
-/// of their envs. An engine reads states, targets and wrenches there, makes the physics steps of a control step, and writes states
-/// and reports. It may keep more between control steps, such as the same columns in a device's memory.
+/// The pipeline keeps the robots' states in components and hands them over in blocks: slices of one
+/// morphology's robots, in the order of their envs. An engine reads states, targets and wrenches
+/// there, makes the physics steps of a control step, and writes states and reports. It may keep
+/// more between control steps, such as the same columns in a device's memory.
 ///
 /// A robot's motion depends on its own row and numbers alone, and no bit depends on the number of
 /// threads. A state that is not finite stays in its row: the pipeline ends the episode.
@@ -117,7 +118,8 @@ pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
     /// Sets the joints of a morphology's robots whose gains are explicit: they act on the beginning
     /// of each physics step.
     fn set_explicit(&mut self, morphology: usize, explicit: &[bool]);
-    /// Writes state and report of a [resident](RowFamily::RESIDENT) robot to the first of these rows.
+    /// Writes state and report of a [resident](RowFamily::RESIDENT) robot to the first of these
+    /// rows.
     fn fetch(&self, env: usize, rows: F::Rows<'_>);
     /// Sets state and report of a resident robot to those of the first row.
     fn restart(&mut self, env: usize, rows: F::Rows<'_>);
@@ -136,7 +138,8 @@ pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
 pub struct Run<'a> {
     /// Number of physics steps.
     pub steps: usize,
-    /// Whether the gains pull to the targets, as in a task. Without them the feed-forward efforts act alone.
+    /// Whether the gains pull to the targets, as in a task. Without them the feed-forward efforts
+    /// act alone.
     pub gains: bool,
     /// Limits beyond which a state is broken.
     pub limits: &'a StateLimits,
@@ -179,7 +182,8 @@ impl<'a> Kind<'a, f32> {
 
 /// Engine, and the precision in which it computes.
 pub(crate) enum EngineChoice {
-    /// In single precision on an instruction set; robots stand on the terrain, or else on the plane of the settings.
+    /// In single precision on an instruction set; robots stand on the terrain, or else on the plane
+    /// of the settings.
     Articulated(Simd, Option<Arc<HeightGrid>>),
     /// In double precision, one robot at a time.
     ArticulatedDouble,

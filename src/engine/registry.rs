@@ -34,7 +34,8 @@ pub struct EngineSetup<'a> {
 }
 
 impl EngineSetup<'_> {
-    /// Physics step (s), steps in a control step, gravity (m/s^2) and contacts of the task, with robots that stand on this plane.
+    /// Physics step (s), steps in a control step, gravity (m/s^2) and contacts of the task, with
+    /// robots that stand on this plane.
     pub fn step_settings(&self, plane: Option<Plane>) -> StepSettings {
         let (sim, physics) = (&self.task.sim, &self.task.physics);
         StepSettings {
@@ -66,7 +67,8 @@ impl EngineSetup<'_> {
 
 /// Makes engines of one name.
 pub trait EngineFactory: Send + Sync + 'static {
-    /// Whether links may have other lengths in each env and episode, by the event `body_variation`. Default: no.
+    /// Whether links may have other lengths in each env and episode, by the event `body_variation`.
+    /// Default: no.
     fn varies_shapes(&self) -> bool {
         false
     }
@@ -89,7 +91,8 @@ pub trait EngineFactory: Send + Sync + 'static {
     fn make(&self, setup: &EngineSetup) -> Result<Box<dyn Engine>, Error>;
 }
 
-/// The engines that a task may name as `physics.engine`. Plugins add their own to it in `build`: it is a resource of the app.
+/// The engines that a task may name as `physics.engine`. Plugins add their own to it in `build`: it
+/// is a resource of the app.
 #[derive(Resource, Clone)]
 pub struct Engines(BTreeMap<&'static str, Arc<dyn EngineFactory>>);
 

@@ -14,8 +14,10 @@ use crate::workers::SplitRows;
 
 /// Rows of one caller, for any lifetime of an engine's borrow.
 pub(crate) trait RowFamily: 'static {
-    /// Whether the engine keeps the robots' states between steps. [`RowEngine::fetch`](super::RowEngine::fetch) then reads them and
-    /// [`RowEngine::restart`](super::RowEngine::restart) writes them; a step asks its rows for the drive alone. Else the rows keep them.
+    /// Whether the engine keeps the robots' states between steps.
+    /// [`RowEngine::fetch`](super::RowEngine::fetch) then reads them and
+    /// [`RowEngine::restart`](super::RowEngine::restart) writes them; a step asks its rows for the
+    /// drive alone. Else the rows keep them.
     const RESIDENT: bool;
     /// Type of the rows' numbers and of the robots' parameters.
     type Number: Real;
@@ -74,8 +76,8 @@ pub(crate) trait RobotRows: SplitRows {
     /// Prefetches the memory of a row.
     fn prefetch(&self, _row: usize) {}
 
-    /// Writes new states. If a row diverged, returns its state before and after the step, where rows keep records. `first_env` is the env
-    /// of the first row.
+    /// Writes new states. If a row diverged, returns its state before and after the step, where
+    /// rows keep records. `first_env` is the env of the first row.
     fn record(
         &mut self,
         _diverged: Option<usize>,
@@ -101,7 +103,8 @@ impl RowFamily for Components {
 /// them.
 macro_rules! robot_slices {
     ($($(#[$doc:meta])* $name:ident: $component:ty,)*) => {
-        /// The components that an engine reads and writes of one morphology's robots, one row for each robot.
+        /// The components that an engine reads and writes of one morphology's robots, one row for
+        /// each robot.
         pub struct RobotSlices<'a> {
             /// Where the envs are on the ground. Read only.
             pub origins: &'a [EnvOrigin],

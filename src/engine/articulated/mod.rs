@@ -124,7 +124,8 @@ impl<L: Kernels, T: Real> Packs<L, T> {
         Self { settings, terrain, bodies, order, keys: vec![0; first_env], resident: packs, scratch }
     }
 
-    /// The pack of a resident robot, and its lanes: idle lanes shadow the last robot of a morphology.
+    /// The pack of a resident robot, and its lanes: idle lanes shadow the last robot of a
+    /// morphology.
     fn place(&self, env: usize) -> (usize, Range<usize>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
         let Bodies { first_env, first_pack, count, .. } = &self.bodies[morphology];

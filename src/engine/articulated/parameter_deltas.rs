@@ -84,7 +84,8 @@ impl<L: Lanes, T: Real> ParameterDeltas<L, T> {
         }
     }
 
-    /// The numbers of a pack whose actuators have no gains, written into `numbers`; see [`of_pack`](Self::of_pack).
+    /// The numbers of a pack whose actuators have no gains, written into `numbers`; see
+    /// [`of_pack`](Self::of_pack).
     pub(super) fn of_pack_without_gains<'a>(
         &self,
         first: usize,

@@ -67,7 +67,8 @@ impl<L: Lanes> Pack<L> {
         }
     }
 
-    /// Reads rows into the lanes; lanes beyond them shadow the last row, so that they cost and break nothing.
+    /// Reads rows into the lanes; lanes beyond them shadow the last row, so that they cost and
+    /// break nothing.
     pub(super) fn gather(&mut self, rows: &impl RobotRows, order: &[usize]) {
         for &contact in &self.state.pressing {
             self.state.impulse[contact as usize] = [L::zero(); 3];

@@ -47,7 +47,8 @@ struct Block {
     /// The contact bodies that are feet, and those that are not.
     feet: Vec<usize>,
     others: Vec<usize>,
-    /// Normal forces on the contact bodies, N: `normal[(row * physics steps + physics step) * bodies + body]`.
+    /// Normal forces on the contact bodies, N: `normal[(row * physics steps + physics step) *
+    /// bodies + body]`.
     normal: Vec<f32>,
     decimation: usize,
     dt: f64,
