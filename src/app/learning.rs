@@ -30,8 +30,8 @@ impl Sim {
     /// Its networks begin with zeros.
     ///
     /// # Errors
-    /// Options that are out of range; networks that name no columns of a task with several observation groups; a simulation of a share
-    /// of the envs.
+    /// Options that are out of range; networks that name no columns of a task with several
+    /// observation groups; a simulation of a share of the envs.
     pub fn learner(&self, options: Options) -> Result<Learner, Error> {
         self.check_share(Worker::ALONE)?;
         self.check_groups(&options)?;
@@ -116,7 +116,8 @@ impl Sim {
         }
     }
 
-    /// Collects the samples of an iteration with the learner's policy; returns the episodes that ended, by steps and envs.
+    /// Collects the samples of an iteration with the learner's policy; returns the episodes that
+    /// ended, by steps and envs.
     ///
     /// # Errors
     /// A learner of another simulation, a step that fails, or another worker that is gone.
@@ -149,7 +150,8 @@ impl Sim {
         Err(Error::argument("update", problem, "resume from the checkpoint before it with a smaller learning rate"))
     }
 
-    /// Writes the samples of the iteration, with this simulation's threads, for a learner elsewhere.
+    /// Writes the samples of the iteration, with this simulation's threads, for a learner
+    /// elsewhere.
     ///
     /// # Errors
     /// A learner of another simulation, and arrays of other sizes.

@@ -17,8 +17,9 @@ use crate::simulation::LinkPoses;
 use crate::systems::{StateField, gather_state};
 
 impl Sim {
-    /// Writes one quantity of all robots, row-major `[num_envs, width]` with [`state_width`](Self::state_width); joints and feet
-    /// are in the columns of [`slots`](Self::slots), zero where a robot has none.
+    /// Writes one quantity of all robots, row-major `[num_envs, width]` with
+    /// [`state_width`](Self::state_width); joints and feet are in the columns of
+    /// [`slots`](Self::slots), zero where a robot has none.
     ///
     /// # Errors
     /// An array of another length.
@@ -122,7 +123,8 @@ impl Sim {
     }
 }
 
-/// State of the robots of one kind, row-major, a row per env; see [`simulation`](crate::simulation) for the layout.
+/// State of the robots of one kind, row-major, a row per env; see [`simulation`](crate::simulation)
+/// for the layout.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotStates {
     /// `[envs, 7 + joints]`; the position is relative to the env's origin.
@@ -173,8 +175,8 @@ impl Sim {
         poses
     }
 
-    /// Net force on each contact body of the robot at place `index` in the last physics step, world axes, N,
-    /// `[envs, bodies, 3]`.
+    /// Net force on each contact body of the robot at place `index` in the last physics step, world
+    /// axes, N, `[envs, bodies, 3]`.
     pub fn contact_forces(&mut self, index: usize) -> Vec<f64> {
         let envs = self.env_ids(index);
         let Some(model) = self.morphologies().get(index) else {

@@ -8,7 +8,8 @@ use crate::components::{BasePose, BaseVelocity, EnvId, EnvOrigin, EpisodeSums, H
 use crate::error::Error;
 
 impl Sim {
-    /// Adds a velocity to the base of each robot, world axes, m/s, row-major `[num_envs, 3]`; zero leaves a robot alone.
+    /// Adds a velocity to the base of each robot, world axes, m/s, row-major `[num_envs, 3]`; zero
+    /// leaves a robot alone.
     ///
     /// Readings of sensors follow in the next control step.
     ///
@@ -37,13 +38,14 @@ impl Sim {
         Ok(())
     }
 
-    /// Names of the reward terms of the robot at place `index`, in the order of [`reward_sums`](Self::reward_sums).
+    /// Names of the reward terms of the robot at place `index`, in the order of
+    /// [`reward_sums`](Self::reward_sums).
     pub fn reward_terms(&self, index: usize) -> Vec<&str> {
         self.task().rewards.get(index).into_iter().flatten().map(|term| term.name.as_str()).collect()
     }
 
-    /// Weighted reward terms of the robot at place `index`, each summed over the episode so far, row-major `[envs, terms]`.
-    /// All of a row add up to the rewards of its episode.
+    /// Weighted reward terms of the robot at place `index`, each summed over the episode so far,
+    /// row-major `[envs, terms]`. All of a row add up to the rewards of its episode.
     pub fn reward_sums(&mut self, index: usize) -> Vec<f32> {
         let (envs, terms) = (self.env_ids(index), self.reward_terms(index).len());
         let mut rows = vec![0.0; envs.len() * terms];
