@@ -53,8 +53,8 @@ impl Mesh {
         self.top([ix, ox], [-iy, iy], z);
     }
 
-    /// A height field: `vertices[i * columns + j]`, two triangles between four of them, cut from the first to the last corner
-    /// as [`HeightGrid`] cuts its cells.
+    /// A height field: `vertices[i * columns + j]`, two triangles between four of them, cut from
+    /// the first to the last corner as [`HeightGrid`] cuts its cells.
     pub(super) fn field(vertices: Vec<[f32; 3]>, columns: usize) -> Self {
         let rows = vertices.len() / columns;
         let corner = |i: usize, j: usize| (i * columns + j) as u32;
@@ -75,8 +75,9 @@ impl Mesh {
         self.triangles.extend(other.triangles.iter().map(|t| t.map(|v| first + v)));
     }
 
-    /// Raises the points of a grid to this surface where it lies above them; `origin` is where the mesh is in the grid's
-    /// world, m. Vertical faces raise nothing: the points at their foot belong to the upper edge.
+    /// Raises the points of a grid to this surface where it lies above them; `origin` is where the
+    /// mesh is in the grid's world, m. Vertical faces raise nothing: the points at their foot
+    /// belong to the upper edge.
     pub fn rasterise(&self, origin: [f32; 2], grid: &mut HeightGrid) {
         // points that lie on an edge but for rounding are inside, in cells
         const EDGE: f32 = 1e-3;

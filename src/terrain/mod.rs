@@ -1,7 +1,7 @@
 //! Generated terrain: tiles of several types and levels of difficulty, as triangles.
 //!
-//! The shapes are those of Isaac Lab's rough terrain. Each tile is drawn from a separate stream, so that it does not
-//! depend on the others.
+//! The shapes are those of Isaac Lab's rough terrain. Each tile is drawn from a separate stream, so
+//! that it does not depend on the others.
 
 mod mesh;
 mod tiles;

@@ -30,7 +30,8 @@ fn both(half: f64) -> [f64; 2] {
     [-half, half]
 }
 
-/// Rings of one step each and a platform one step beyond the last ring; `step` is negative where they go down.
+/// Rings of one step each and a platform one step beyond the last ring; `step` is negative where
+/// they go down.
 fn stairs(c: &StairsConfig, half: [f64; 2], step: f64) -> Mesh {
     let ring = |k: u32| half.map(|x| x - c.border_width - f64::from(k) * c.step_width);
     let inner = 2.0 * (half[0].min(half[1]) - c.border_width);
@@ -80,7 +81,8 @@ fn boxes(c: &BoxesConfig, half: [f64; 2], amplitude: f64, rng: &mut EnvRng) -> M
     mesh
 }
 
-/// A pyramid whose height is the product of one along x and one along y, cut off where the platform's corners are.
+/// A pyramid whose height is the product of one along x and one along y, cut off where the
+/// platform's corners are.
 fn slope(c: &SlopeConfig, config: &TerrainConfig, slope: f64) -> Mesh {
     let mut field = Field::new(config, c.border_width);
     let [n, m] = field.inner();
