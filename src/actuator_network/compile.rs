@@ -47,7 +47,8 @@ struct Compiler {
     uses: HashMap<String, usize>,
     /// Features that go by several names, by their first number: no node overwrites them.
     shared: HashSet<usize>,
-    /// Features that are `|x|` or `1 + |x|` of others, by their first number: softsign is written so.
+    /// Features that are `|x|` or `1 + |x|` of others, by their first number: softsign is written
+    /// so.
     magnitudes: HashMap<usize, (Span, bool)>,
 }
 
@@ -146,7 +147,8 @@ fn leave_out_unread(instructions: &mut Vec<Instruction>, output: Span) {
     *instructions = kept;
 }
 
-/// The number of axes of the input, whose last one must have the size that the robot's config gives.
+/// The number of axes of the input, whose last one must have the size that the robot's config
+/// gives.
 fn check_input(input: &ValueInfo, inputs: usize) -> Result<usize, NetworkError> {
     let at = format!("input `{}`", input.name);
     let Some(dims) = input.dims() else { return Ok(2) };
@@ -419,8 +421,8 @@ impl Compiler {
         Ok(Value::Features(to, axes))
     }
 
-    /// A layer of an LSTM, whose states begin at zero and are kept by the simulator. Gates are in ONNX's order: input, output, forget,
-    /// candidate.
+    /// A layer of an LSTM, whose states begin at zero and are kept by the simulator. Gates are in
+    /// ONNX's order: input, output, forget, candidate.
     fn lstm(
         &mut self,
         node: &Node,

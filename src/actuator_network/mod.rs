@@ -1,4 +1,5 @@
-//! Learned actuators: a network file of a robot becomes a [`NetworkProgram`] that the physics kernels evaluate.
+//! Learned actuators: a network file of a robot becomes a [`NetworkProgram`] that the physics
+//! kernels evaluate.
 //!
 //! | file | what it holds |
 //! |---|---|
