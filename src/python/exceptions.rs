@@ -1,4 +1,5 @@
-//! Errors as Python exceptions: each is also the standard exception that a Python user would expect.
+//! Errors as Python exceptions: each is also the standard exception that a Python user would
+//! expect.
 
 use std::ops::Deref;
 use std::panic::{AssertUnwindSafe, catch_unwind};

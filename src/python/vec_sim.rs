@@ -157,7 +157,8 @@ impl VecSim {
         written(py, json)
     }
 
-    /// The columns of an observation group: a view, or the array itself where there is no other group.
+    /// The columns of an observation group: a view, or the array itself where there is no other
+    /// group.
     fn columns<'py>(
         &self,
         py: Python<'py>,
