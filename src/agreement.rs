@@ -38,10 +38,12 @@ impl std::fmt::Display for Limits {
     }
 }
 
-/// Checks a robot's config against its URDF; `default_pose` is that of its slots, canonical directions, rad.
+/// Checks a robot's config against its URDF; `default_pose` is that of its slots, canonical
+/// directions, rad.
 ///
 /// # Errors
-/// A joint that is locked, stands or begins beyond its limits; an actuator without any effort; a base without mass.
+/// A joint that is locked, stands or begins beyond its limits; an actuator without any effort; a
+/// base without mass.
 pub(crate) fn check(
     loaded: &LoadedRobot,
     model: &Model,
@@ -54,7 +56,8 @@ pub(crate) fn check(
     check_base(loaded, model)
 }
 
-/// Narrows the limits of joints to those of `[joint_limits]`, which are in the direction of the slot.
+/// Narrows the limits of joints to those of `[joint_limits]`, which are in the direction of the
+/// slot.
 ///
 /// # Errors
 /// Limits of a joint that the robot lacks, and limits that do not overlap those of the URDF.

@@ -14,7 +14,8 @@ pub struct Batch {
     pub num_obs: usize,
     /// Length of an action: the slots of the batch's robots.
     pub num_actions: usize,
-    /// Actions in the order of the slots, `[num_envs, num_actions]`; read at the start of a control step.
+    /// Actions in the order of the slots, `[num_envs, num_actions]`; read at the start of a control
+    /// step.
     pub actions: Vec<f32>,
     /// Observations after the control step (and after resets), `[num_envs, num_obs]`.
     pub observations: Vec<f32>,
@@ -24,7 +25,8 @@ pub struct Batch {
     pub terminated: Vec<bool>,
     /// Episodes that ran out of time, `[num_envs]`.
     pub truncated: Vec<bool>,
-    /// Last observation of an episode that ended in this control step, `[num_envs, num_obs]`; other rows are stale.
+    /// Last observation of an episode that ended in this control step, `[num_envs, num_obs]`; other
+    /// rows are stale.
     pub final_observations: Vec<f32>,
     /// Whether each row of `final_observations` is valid, `[num_envs]`.
     pub has_final: Vec<bool>,

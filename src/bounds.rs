@@ -10,20 +10,23 @@ pub const MAX_ENVS: usize = 1 << 24;
 pub const MAX_THREADS: usize = 1024;
 /// Largest number of physics steps of one call: four months of simulated time at 5 ms.
 pub const MAX_STEPS: usize = (1 << 31) - 1;
-/// Largest magnitude of an action. Policies act within about 10; rewards square differences of actions in single precision.
+/// Largest magnitude of an action. Policies act within about 10; rewards square differences of
+/// actions in single precision.
 pub const MAX_ACTION: f32 = 1e6;
 /// Largest magnitude of a command, m/s or rad/s.
 pub const MAX_COMMAND: f64 = 1e3;
 /// Largest component of a push, m/s: pushes of trainings are about 1, and one of 100 is a
 /// collision.
 pub const MAX_PUSH: f32 = 100.0;
-/// Largest magnitude of any number of a config, in its unit. Beyond it products of two leave single precision.
+/// Largest magnitude of any number of a config, in its unit. Beyond it products of two leave single
+/// precision.
 pub const LARGEST: f64 = 1e9;
 /// Longest physics step, s; usual are 0.001 to 0.02.
 pub const MAX_DT: f64 = 1.0;
 /// Largest component of gravity, m/s^2: four times Jupiter's.
 pub const MAX_GRAVITY: f64 = 100.0;
-/// Shortest physics step, s: far below what contacts need, far above where single precision loses the change of a position.
+/// Shortest physics step, s: far below what contacts need, far above where single precision loses
+/// the change of a position.
 pub const MIN_DT: f64 = 1e-6;
 /// Largest number of physics steps of a control step; usual are 1 to 20.
 pub const MAX_DECIMATION: u32 = 1000;
@@ -71,7 +74,8 @@ impl fmt::Display for Shown {
     }
 }
 
-/// The same text with its long decimal numbers as [`Shown`]: serde and Rust write 1e308 with 309 digits.
+/// The same text with its long decimal numbers as [`Shown`]: serde and Rust write 1e308 with 309
+/// digits.
 pub(crate) fn with_short_numbers(text: String) -> String {
     /// Digits of the longest whole number of 64 bits.
     const LONGEST: usize = 20;

@@ -1,8 +1,9 @@
 //! Components and tags of the simulated world.
 //!
-//! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself ([`Env`]), its robot
-//! ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`], [`HeightScan`]). Entities of a kind and a morphology are a
-//! [block](crate::blocks): systems read each of their components as one slice, in the order of their envs.
+//! One env is three kinds of entities, all tagged with [`EnvId`] and [`Morphology`]: the env itself
+//! ([`Env`]), its robot ([`Robot`]) and the robot's sensors ([`ContactSensor`], [`Imu`],
+//! [`HeightScan`]). Entities of a kind and a morphology are a [block](crate::blocks): systems read
+//! each of their components as one slice, in the order of their envs.
 //!
 //! Positions and velocities of joints are in [`JointState`], their targets in [`JointTargets`], and
 //! their efforts and accelerations in [`JointEffort`].
@@ -124,7 +125,8 @@ fn spread(mut x: u64) -> u64 {
 /// Progress of the episode, and the end of the last one.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Episode {
-    /// Control steps that count towards the time-out: those since the reset, unless a caller has set another number.
+    /// Control steps that count towards the time-out: those since the reset, unless a caller has
+    /// set another number.
     pub length: u32,
     /// Control steps since the reset.
     pub lived: u32,
@@ -218,7 +220,8 @@ pub struct BasePose {
 }
 
 impl BasePose {
-    /// Direction of the base's x axis on the ground, unit vector x, y; that of the world's for a base that points straight up.
+    /// Direction of the base's x axis on the ground, unit vector x, y; that of the world's for a
+    /// base that points straight up.
     #[inline(always)]
     pub fn forward(&self) -> [f32; 2] {
         let [w, x, y, z] = self.rotation;
@@ -352,8 +355,8 @@ pub const FORCE_HISTORY: usize = 3;
 pub struct ContactForces {
     /// Net force on each foot in the last physics step, world axes, N.
     pub feet: PerFoot<[f32; 3]>,
-    /// Sum of the normal forces of each foot's contacts in each physics step of the control step, N, `[steps, feet]`; in place for
-    /// the library's tasks.
+    /// Sum of the normal forces of each foot's contacts in each physics step of the control step,
+    /// N, `[steps, feet]`; in place for the library's tasks.
     pub feet_normal: SmallVec<[f32; 4 * PHYSICS_STEPS]>,
     /// Forces on contact bodies other than feet, where they are not zero.
     pub others: SmallVec<[BodyForce; 4]>,
@@ -366,7 +369,8 @@ pub struct BodyForce {
     pub body: u32,
     /// Net force in the last physics step, world axes, N.
     pub net: [f32; 3],
-    /// Sum of the normal forces of its contacts in each of the last physics steps, N; zero where the control step has fewer.
+    /// Sum of the normal forces of its contacts in each of the last physics steps, N; zero where
+    /// the control step has fewer.
     pub normal: [f32; FORCE_HISTORY],
 }
 
@@ -467,14 +471,15 @@ pub struct Stance {
     pub default_position: SharedArray<f32>,
     /// Joint target per unit of action, rad.
     pub action_scale: f32,
-    /// Height of the base above the ground at which an episode begins: that of the default pose on this body's own legs,
-    /// the reset's margin included, m.
+    /// Height of the base above the ground at which an episode begins: that of the default pose on
+    /// this body's own legs, the reset's margin included, m.
     pub spawn_height: f32,
 }
 
 // ------------------------------------------------------------------------------------------------------------- sensors
 
-/// The robot that a sensor is mounted on. A robot knows its [`Sensors`]; they are despawned with it.
+/// The robot that a sensor is mounted on. A robot knows its [`Sensors`]; they are despawned with
+/// it.
 #[derive(Component, Clone, Copy, Debug)]
 #[relationship(relationship_target = Sensors)]
 pub struct MountedOn(pub Entity);
@@ -487,7 +492,8 @@ pub struct Sensors(Vec<Entity>);
 /// Contact sensor over all contact bodies of a robot.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ContactSensor {
-    /// Largest normal force over the last three physics steps, N, `[bodies]`: see [`ContactForces`].
+    /// Largest normal force over the last three physics steps, N, `[bodies]`: see
+    /// [`ContactForces`].
     pub peak_force: PerBody,
     /// Time that each foot has been in contact, s.
     pub contact_time: PerFoot,

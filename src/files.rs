@@ -33,14 +33,16 @@ pub fn read_up_to(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 /// Reads a text of up to [`MAX_BYTES`].
 ///
 /// # Errors
-/// It cannot be read, is larger ([`io::ErrorKind::FileTooLarge`]) or is not UTF-8 ([`io::ErrorKind::InvalidData`]).
+/// It cannot be read, is larger ([`io::ErrorKind::FileTooLarge`]) or is not UTF-8
+/// ([`io::ErrorKind::InvalidData`]).
 pub fn read_text(path: &Path) -> io::Result<String> {
     let not_text = |_| io::Error::new(io::ErrorKind::InvalidData, "it is not UTF-8");
     String::from_utf8(read(path)?).map_err(not_text)
 }
 
-/// Writes a file. A regular file is replaced by the whole new one or left as it was, and is on the disk when this returns. Symbolic
-/// links are followed. Into a device or a pipe the bytes are written as they are.
+/// Writes a file. A regular file is replaced by the whole new one or left as it was, and is on the
+/// disk when this returns. Symbolic links are followed. Into a device or a pipe the bytes are
+/// written as they are.
 ///
 /// # Errors
 /// It cannot be written.

@@ -98,7 +98,8 @@ pub(crate) fn parts(obstacle: &ObstacleConfig) -> Vec<Part> {
     }
 }
 
-/// Half the side of a plane that is open somewhere, m: farther than a robot walks in an episode, about any env's origin.
+/// Half the side of a plane that is open somewhere, m: farther than a robot walks in an episode,
+/// about any env's origin.
 pub(crate) const FLOOR: f32 = 500.0;
 
 /// The plane at height zero with these rectangles left out; `None` without rectangles, when it is

@@ -80,7 +80,8 @@ pub struct ObstacleCollider {
 }
 
 impl ObstacleCollider {
-    /// Whether the collider, which is `at` its position, may be seen through an opening of the plane.
+    /// Whether the collider, which is `at` its position, may be seen through an opening of the
+    /// plane.
     fn reaches(&self, at: Vec3, [low, high]: &[[f64; 2]; 2]) -> bool {
         let place = [at.x, at.y].map(f64::from);
         let reach = f64::from(self.reach);
@@ -109,7 +110,8 @@ pub fn add_avian(app: &mut App) {
     app.add_plugins(PhysicsPlugins::new(UpdateWorld).with_collision_hooks::<SameEnv>().build());
 }
 
-/// Spawns a task's ground and obstacles in Avian's world and sets its gravity, once the app's plugins are finished.
+/// Spawns a task's ground and obstacles in Avian's world and sets its gravity, once the app's
+/// plugins are finished.
 ///
 /// # Errors
 /// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
@@ -198,7 +200,8 @@ pub struct Ground {
     pub gravity: [f64; 3],
     /// Unit vector of [`gravity`](Self::gravity), world axes; zeros without gravity.
     pub down: [f32; 3],
-    /// Heights where there is terrain or obstacles stand, in the frame in which envs have their [`EnvOrigin`].
+    /// Heights where there is terrain or obstacles stand, in the frame in which envs have their
+    /// [`EnvOrigin`].
     pub terrain: Option<Arc<HeightGrid>>,
     /// The tiles of generated terrain.
     pub layout: Option<TerrainLayout>,
@@ -232,8 +235,8 @@ impl Ground {
         }
     }
 
-    /// Rows in the order of their tiles: those on the same tile in turn, which finds its heights in the cache. `None` on ground without
-    /// tiles.
+    /// Rows in the order of their tiles: those on the same tile in turn, which finds its heights in
+    /// the cache. `None` on ground without tiles.
     pub(crate) fn order_of_tiles(&self, origins: &[EnvOrigin]) -> Option<Vec<u32>> {
         self.layout.as_ref()?;
         let tile = |origin: &EnvOrigin| u64::from(origin.terrain_level) << 16 | u64::from(origin.terrain_column);
@@ -242,7 +245,8 @@ impl Ground {
         Some(order.into_iter().map(|row| row as u32).collect())
     }
 
-    /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine rule.
+    /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine
+    /// rule.
     pub fn friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {
         let ground = [self.friction.static_coefficient, self.friction.dynamic_coefficient];
         [0, 1].map(|i| {
@@ -257,8 +261,8 @@ impl Ground {
         })
     }
 
-    /// Coefficients of torsional and rolling friction of a robot's surface on the ground, m: the larger of the two surfaces', as
-    /// MuJoCo combines them.
+    /// Coefficients of torsional and rolling friction of a robot's surface on the ground, m: the
+    /// larger of the two surfaces', as MuJoCo combines them.
     pub fn spin_friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {
         [0, 1].map(|i| self.spin_friction[i].max(of_robot[i]))
     }
@@ -336,7 +340,8 @@ fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldEr
     let is_whole = scene.pits().is_empty();
     let place = if is_whole { [0.0; 2] } else { [-0.9 * obstacles::FLOOR; 2] };
     let (hit, height) = below(&query, place, &bare).ok_or(WorldError::NoGround)?;
-    // triangles are at height 0: those of a plane with pits, and the border of terrain with what lies beyond
+    // triangles are at height 0: those of a plane with pits, and the border of terrain with what
+    // lies beyond
     let height = if layout.is_none() && is_whole { height } else { 0.0 };
     let plane = layout.is_none().then_some((hit, height));
     if let Some((_, ground)) = plane {
@@ -383,8 +388,8 @@ pub fn below(query: &SpatialQuery, [x, y]: [f32; 2], filter: &SpatialQueryFilter
     Some((hit.entity, RAY_START - hit.distance))
 }
 
-/// The heights of tiles, from the triangles of their colliders, and of obstacles, by rays. `plane` are the plane and its exact height, if
-/// the ground is one.
+/// The heights of tiles, from the triangles of their colliders, and of obstacles, by rays. `plane`
+/// are the plane and its exact height, if the ground is one.
 fn bake_terrain(
     query: &SpatialQuery,
     tiles: &[(Mesh, [f32; 2])],
@@ -404,7 +409,8 @@ fn bake_terrain(
     };
     let side = |axis: usize| {
         let (low, high) = around(axis);
-        // at its edge the grid is as high as the ground, and a point at zero keeps it where it is when obstacles are added
+        // at its edge the grid is as high as the ground, and a point at zero keeps it where it is
+        // when obstacles are added
         let first = (low / cell).floor() - 2.0;
         (first * cell, ((high / cell).ceil() - first) as usize + 3)
     };
