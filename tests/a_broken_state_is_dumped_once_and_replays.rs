@@ -1,4 +1,5 @@
-//! The first state of each robot that breaks is dumped to a file that steps there again, bit for bit.
+//! The first state of each robot that breaks is dumped to a file that steps there again, bit for
+//! bit.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -120,7 +121,8 @@ fn a_body_that_cannot_be_simulated() {
     assert!(text.contains("physics step 1 of 4: position x of the base is NaN"), "{text}");
 }
 
-/// A replay has one physics step per control step: delayed targets must come out as they went in, whatever the delay.
+/// A replay has one physics step per control step: delayed targets must come out as they went in,
+/// whatever the delay.
 #[test]
 fn delayed_targets_are_replayed() {
     let dir = directory("delay");
@@ -260,7 +262,8 @@ fn other_files_are_refused_and_other_bits_are_told() {
     assert_eq!(replay(&[dir.join("missing.polypod").to_str().unwrap()]).status.code(), Some(2));
     assert_eq!(replay(&[file.to_str().unwrap(), "--simd", "mmx"]).status.code(), Some(2));
 
-    // a dump in which one number is another one does not give the dumped bits, and one that is sound does not break
+    // a dump in which one number is another one does not give the dumped bits, and one that is
+    // sound does not break
     for (change, word) in [
         ((|dump| dump.state.before.joints.velocity[3] += 0.5) as fn(&mut Dump), "other bits"),
         (|dump| dump.state.before.velocity.linear[0] = 1.0, "does not break"),

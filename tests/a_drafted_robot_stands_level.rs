@@ -1,5 +1,5 @@
-//! The default pose that `draft` finds for a URDF: all feet on one plane, the centre of mass between them, knees bent,
-//! joints within their limits.
+//! The default pose that `draft` finds for a URDF: all feet on one plane, the centre of mass
+//! between them, knees bent, joints within their limits.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
-//! `is_terminated` is 1 in the step in which an episode fails and 0 in all others, at a time-out too.
+//! `is_terminated` is 1 in the step in which an episode fails and 0 in all others, at a time-out
+//! too.
 
 use polypod::Sim;
 
@@ -6,7 +7,8 @@ use crate::common::{busy, step};
 
 const STEPS: usize = 150;
 
-/// Two robots of different reward sets on the universal rough task, whose episodes are shorter than the test.
+/// Two robots of different reward sets on the universal rough task, whose episodes are shorter than
+/// the test.
 fn sim(weight: f64) -> Sim {
     let mut options = busy(&["anymal_d", "unitree_go1"], 48);
     options.task = "velocity_rough_universal".into();

@@ -1,4 +1,5 @@
-//! A slot turns the same way on every robot: a URDF whose axes point the other way round gives the same robot.
+//! A slot turns the same way on every robot: a URDF whose axes point the other way round gives the
+//! same robot.
 
 use std::path::{Path, PathBuf};
 
@@ -7,8 +8,8 @@ use polypod::{Sim, SimOptions};
 
 use crate::common::{busy, noise};
 
-/// Libraries with a copy of a robot, and with one whose flexion joints turn the other way round. Both have one name, and so the same
-/// random numbers.
+/// Libraries with a copy of a robot, and with one whose flexion joints turn the other way round.
+/// Both have one name, and so the same random numbers.
 fn libraries(robot: &str) -> [PathBuf; 2] {
     let assets = Path::new(env!("CARGO_MANIFEST_DIR"));
     let urdf = std::fs::read_to_string(assets.join(format!("assets/robots/{robot}/robot.urdf"))).unwrap();

@@ -1,4 +1,5 @@
-//! After a reset the robot is above the ground, and all that follows from its state is that of the new state.
+//! After a reset the robot is above the ground, and all that follows from its state is that of the
+//! new state.
 
 use polypod::components::{BasePose, BaseVelocity, Body, EnvId, EnvOrigin, Feet, JointState, Morphology};
 use polypod::config::JointPositionMode;
@@ -24,7 +25,8 @@ fn shake(sim: &mut Sim) {
     }
 }
 
-/// The state of every robot in double precision, with its numbers and what the simulation says of its feet.
+/// The state of every robot in double precision, with its numbers and what the simulation says of
+/// its feet.
 fn robots(sim: &mut Sim) -> Vec<(usize, Parameters<f64>, State<f64>, Feet, EnvOrigin)> {
     let models: Vec<MorphologyModel> = sim.morphologies().to_vec();
     let world = sim.world_mut();
@@ -51,7 +53,8 @@ fn robots(sim: &mut Sim) -> Vec<(usize, Parameters<f64>, State<f64>, Feet, EnvOr
     all.into_iter().map(|(_, robot)| robot).collect()
 }
 
-/// Largest distance of the feet from where forward kinematics has them, m, and difference of their velocities, m/s.
+/// Largest distance of the feet from where forward kinematics has them, m, and difference of their
+/// velocities, m/s.
 fn foot_errors(sim: &mut Sim) -> (f64, f64) {
     let models: Vec<MorphologyModel> = sim.morphologies().to_vec();
     let (mut place, mut speed) = (0.0f64, 0.0f64);

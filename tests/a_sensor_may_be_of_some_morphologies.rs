@@ -1,4 +1,5 @@
-//! A component, a sensor and a term may be of some morphologies alone: the others are as they would be without.
+//! A component, a sensor and a term may be of some morphologies alone: the others are as they would
+//! be without.
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;

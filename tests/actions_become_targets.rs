@@ -1,4 +1,5 @@
-//! A target is the default pose plus the scaled action, joint by joint, unclipped; the first one after a reset fills the history.
+//! A target is the default pose plus the scaled action, joint by joint, unclipped; the first one
+//! after a reset fills the history.
 
 use polypod::Sim;
 use polypod::components::{EnvId, JointTargets};

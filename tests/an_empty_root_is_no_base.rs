@@ -1,4 +1,5 @@
-//! The frame of an empty root, such as a footprint on the ground, is not the body's: the base is the first link that is a body.
+//! The frame of an empty root, such as a footprint on the ground, is not the body's: the base is
+//! the first link that is a body.
 
 use std::path::Path;
 

@@ -11,7 +11,8 @@ use polypod::{Error, Sim, SimOptions};
 
 use crate::common::{assert_all_same, step};
 
-/// Bases go on with their velocity, less a drag by their mass that grows with the steps made; joints are at their targets at once.
+/// Bases go on with their velocity, less a drag by their mass that grows with the steps made;
+/// joints are at their targets at once.
 struct Kinematic {
     dt: f32,
     masses: Vec<f32>,

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-/// The rooms of `src/` from the ground up, `systems/` among them. A room is a file or a folder; it uses those before it.
+/// The rooms of `src/` from the ground up, `systems/` among them. A room is a file or a folder; it
+/// uses those before it.
 const ROOMS: [&str; 32] = [
     "dynamics",
     "learner",

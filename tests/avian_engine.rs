@@ -1,5 +1,5 @@
-//! The engine `avian`: robots stand, survive rough handling, and move as the articulated engine has them; bits depend on
-//! nothing but the state.
+//! The engine `avian`: robots stand, survive rough handling, and move as the articulated engine has
+//! them; bits depend on nothing but the state.
 
 use polypod::config::Library;
 use polypod::dynamics::math::Spatial;
@@ -85,7 +85,8 @@ fn every_robot_stands_for_ten_seconds() {
         check(upright(&avian) > 0.98, "not upright");
         check((up / weight - 1.0).abs() < 0.02, "forces do not add up to the weight");
         check(drift < 1e-3, "joints come apart");
-        // joints that dry friction holds stop anywhere within it, and this robot's is 4 % of its largest torque
+        // joints that dry friction holds stop anywhere within it, and this robot's is 4 % of its
+        // largest torque
         let dry_friction = if robot == "unitree_a1" { 0.2 } else { 0.0 };
         let bound = 0.03 + dry_friction / most(theirs.iter().copied());
         check(off < bound, "torques are not those of the articulated engine");
@@ -121,7 +122,8 @@ fn every_robot_survives_a_drop_and_random_targets() {
     }
 }
 
-/// Largest difference of joint positions while one joint follows a step of 0.1 rad with the base fixed in the air.
+/// Largest difference of joint positions while one joint follows a step of 0.1 rad with the base
+/// fixed in the air.
 fn step_response(robot: &str, joint: usize) -> (f64, f64) {
     let [mut avian, mut articulated] = ["avian", "articulated"].map(|engine| {
         let options = SimulationOptions { fixed_base: true, ground: None, ..options(robot, engine, 1) };
@@ -252,8 +254,9 @@ fn what_the_engine_lacks_is_refused() {
     assert!(message.contains("avian"), "{message}");
 }
 
-/// The deepest overlap (m) of links that may touch, while the legs follow targets from the whole range of the joints, in
-/// the air; the largest contact force on any link, and of all links together (N), whose forces are all internal.
+/// The deepest overlap (m) of links that may touch, while the legs follow targets from the whole
+/// range of the joints, in the air; the largest contact force on any link, and of all links
+/// together (N), whose forces are all internal.
 fn deepest_overlap(robot: &str, self_collision: bool) -> [f64; 3] {
     let options = SimulationOptions {
         self_collision: Some(self_collision),

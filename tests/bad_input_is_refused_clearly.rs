@@ -1,4 +1,5 @@
-//! Bad input gives an error that names the element and says what to do; the command line says it in one line.
+//! Bad input gives an error that names the element and says what to do; the command line says it in
+//! one line.
 
 use std::process::Output;
 

@@ -1,5 +1,5 @@
-//! An env depends on the seed, its robot, its place among that robot's envs and its actions, and on no
-//! other env or robot.
+//! An env depends on the seed, its robot, its place among that robot's envs and its actions, and on
+//! no other env or robot.
 
 use bevy_ecs::component::{Component, Mutable};
 use polypod::components::{Body, EnvId, EnvRng};
@@ -49,7 +49,8 @@ fn assert_watched_same(a: &mut Sim, b: &mut Sim, t: usize) {
     }
 }
 
-/// Steps two equal simulations, in one of which two of three envs act otherwise: the third does not notice.
+/// Steps two equal simulations, in one of which two of three envs act otherwise: the third does not
+/// notice.
 fn others_act_otherwise(options: &SimOptions) {
     let (mut a, mut b) = (Sim::new(options).unwrap(), Sim::new(options).unwrap());
     for t in 0..STEPS {
@@ -102,7 +103,8 @@ fn robots_before_it_change_nothing() {
     }
 }
 
-/// Steps two equal simulations, in one of which two of three bodies are changed: the third does not notice.
+/// Steps two equal simulations, in one of which two of three bodies are changed: the third does not
+/// notice.
 fn others_are_built_otherwise(options: &SimOptions, change: fn(&mut Parameters<f32>)) {
     let (mut a, mut b) = (Sim::new(options).unwrap(), Sim::new(options).unwrap());
     let world = b.world_mut();

@@ -43,8 +43,8 @@ fn only_the_end_of_a_box_inside_the_foot_is_left_out() {
 
 #[test]
 fn a_rim_counts_by_its_furthest_point() {
-    // the lower rim is 0.015 m above the foot's centre, 0.01725 m if the leg is stretched by 15 %: inside up to
-    // sqrt(0.02^2 - 0.01725^2) = 0.0101 m
+    // the lower rim is 0.015 m above the foot's centre, 0.01725 m if the leg is stretched by 15 %:
+    // inside up to sqrt(0.02^2 - 0.01725^2) = 0.0101 m
     for (radius, rims) in [(0.01, 1), (0.0102, 2)] {
         let found = candidates(&collision("0 0 -0.1", &format!(r#"<cylinder radius="{radius}" length="0.17"/>"#)));
         assert_eq!(found.len(), 1 + 3 * rims, "radius {radius}: {found:?}");

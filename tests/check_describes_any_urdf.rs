@@ -1,4 +1,5 @@
-//! `polypod-sim check` prints what a URDF is read as, quadruped or not, and refuses with exit code 2 what is none.
+//! `polypod-sim check` prints what a URDF is read as, quadruped or not, and refuses with exit code
+//! 2 what is none.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;

@@ -1,5 +1,5 @@
-//! STL, OBJ and COLLADA meshes of collision shapes are taken as the convex hull of their vertices, and a warning says so;
-//! a mesh that cannot be read is left out, with a warning too.
+//! STL, OBJ and COLLADA meshes of collision shapes are taken as the convex hull of their vertices,
+//! and a warning says so; a mesh that cannot be read is left out, with a warning too.
 
 use std::path::{Path, PathBuf};
 
@@ -103,7 +103,8 @@ fn feet_are_found_on_meshes() {
     }
 }
 
-/// A ball of many points keeps its extreme ones, and the warning tells how much the rest sticks out.
+/// A ball of many points keeps its extreme ones, and the warning tells how much the rest sticks
+/// out.
 #[test]
 fn round_meshes_are_thinned_out() {
     let (radius, rings) = (0.1, 150);
@@ -126,7 +127,8 @@ fn round_meshes_are_thinned_out() {
     let problem = &model.warnings[0].problem;
     let (_, rest) = problem.split_once("up to ").expect(problem);
     let stated: f64 = rest.split_once(" mm").expect(problem).0.parse().unwrap();
-    // the reach of hull and ball differ by that at most, along any direction; and by nearly that along some
+    // the reach of hull and ball differ by that at most, along any direction; and by nearly that
+    // along some
     let lost = |direction: &DVec3| {
         let reach = |points: &[DVec3]| points.iter().map(|p| p.dot(*direction)).fold(0.0, f64::max);
         1e3 * (reach(&ball) - reach(points))
@@ -134,7 +136,8 @@ fn round_meshes_are_thinned_out() {
     let worst = ball.iter().map(|point| lost(&point.normalize())).fold(0.0, f64::max);
     // two decimals are stated, and directions are sampled every 2 degrees or so
     assert!(worst <= stated + 0.005 && worst > 0.9 * stated, "{worst} {stated}");
-    // the points along axes and diagonals leave 0.193 of a ball's radius; the other eighteen take a third off
+    // the points along axes and diagonals leave 0.193 of a ball's radius; the other eighteen take a
+    // third off
     assert!(stated < 0.667 * 19.3, "{stated}");
 }
 

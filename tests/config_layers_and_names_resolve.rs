@@ -1,4 +1,5 @@
-//! Every config of the repository loads; roots, layers, overrides and tasks for one robot do what they say.
+//! Every config of the repository loads; roots, layers, overrides and tasks for one robot do what
+//! they say.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -148,7 +149,8 @@ fn a_task_without_a_play_variant_gets_one() {
         assert!(!noisy.disturbances().is_empty(), "{task}");
         assert_eq!((&quiet.rewards, &quiet.commands, &quiet.sim), (&noisy.rewards, &noisy.commands, &noisy.sim));
     }
-    // the rule is that of the built-in files: made of the same task, it gives the same but for its names
+    // the rule is that of the built-in files: made of the same task, it gives the same but for its
+    // names
     let made = |task: &str, file: &str| {
         write("same.toml", &format!("extends = \"{task}\"\nname = \"Same-v0\"\n"));
         let mut made = library.task("Same-Play-v0", &[]).unwrap().config;

@@ -5,7 +5,8 @@ use polypod::{Control, Simulation, SimulationOptions};
 /// Robots whose joints have dry friction.
 const ROBOTS: [&str; 2] = ["unitree_a1", "spot"];
 
-/// The fastest joint between 10 s and 20 s after the robot was put into its default pose, rad/s: by how far each has come.
+/// The fastest joint between 10 s and 20 s after the robot was put into its default pose, rad/s: by
+/// how far each has come.
 fn creep(robot: &str, in_air: bool) -> f64 {
     let options = SimulationOptions { threads: Some(1), ..SimulationOptions::new(robot, 1) };
     let options = if in_air { SimulationOptions { fixed_base: true, ground: None, ..options } } else { options };

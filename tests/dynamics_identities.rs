@@ -1,8 +1,9 @@
-//! The dynamics algorithms agree with one another, with the model's own kinematics and with numeric derivatives, for the
-//! built-in robots and for random trees, in f32 and f64.
+//! The dynamics algorithms agree with one another, with the model's own kinematics and with numeric
+//! derivatives, for the built-in robots and for random trees, in f32 and f64.
 //!
-//! `inverse_dynamics` is the independent witness: Newton's and Euler's equations in ordinary vectors, link by link, share
-//! nothing with the mass matrix, its factors and the spatial algebra of a step.
+//! `inverse_dynamics` is the independent witness: Newton's and Euler's equations in ordinary
+//! vectors, link by link, share nothing with the mass matrix, its factors and the spatial algebra
+//! of a step.
 
 use glam::{DMat3, DQuat, DVec3};
 use polypod::dynamics::{Dynamics, Scalar, State, Workspace};
@@ -149,7 +150,8 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     let topology = case.topology();
     let parameters = &case.articulation.parameters;
     let qvel = case.qvel();
-    // the error of the difference is (rate x step)^4 / 30 plus rounding over rate x step: best near 1e-3
+    // the error of the difference is (rate x step)^4 / 30 plus rounding over rate x step: best near
+    // 1e-3
     let rate: f64 = 1.0 + qvel.iter().map(|v| v.abs()).sum::<f64>();
     let step = 1e-3 / rate;
     let pose = |link: usize, t: f64| {
@@ -229,12 +231,13 @@ fn derivatives(case: &Case) -> Result<(), TestCaseError> {
     close("power of the force = d energy / dt", (power - given).abs(), scale, DERIVATIVE)
 }
 
-/// Rounding may add up along the longest chain: one unit roundoff for each of 64 links, relative to the size of the terms
-/// before they cancel. (Measured: 17 in f32, 12 in f64.)
+/// Rounding may add up along the longest chain: one unit roundoff for each of 64 links, relative to
+/// the size of the terms before they cancel. (Measured: 17 in f32, 12 in f64.)
 const F32: f64 = 64.0 * f32::EPSILON as f64 / 2.0;
 /// See `F32`.
 const F64: f64 = 64.0 * f64::EPSILON / 2.0;
-/// Numeric derivatives are good to this, relative to the size of what is differentiated times its rate.
+/// Numeric derivatives are good to this, relative to the size of what is differentiated times its
+/// rate.
 const DERIVATIVE: f64 = 1e-10;
 
 proptest! {

@@ -1,5 +1,5 @@
-//! A passive double pendulum keeps its energy up to an error of first order in the step, and loses it to joint damping at
-//! the rate that damping has.
+//! A passive double pendulum keeps its energy up to an error of first order in the step, and loses
+//! it to joint damping at the rate that damping has.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,5 @@
-//! Envs are shared out evenly in contiguous blocks, and every entity is tagged with its env and its kind of robot.
+//! Envs are shared out evenly in contiguous blocks, and every entity is tagged with its env and its
+//! kind of robot.
 
 use std::collections::BTreeMap;
 
@@ -71,7 +72,8 @@ fn blocks_are_contiguous_and_in_the_order_of_the_robots() {
     assert_eq!((next, sim.num_envs()), (19, 19));
 }
 
-/// Tags of all entities with component `C`, morphology by morphology, in the order in which systems meet them.
+/// Tags of all entities with component `C`, morphology by morphology, in the order in which systems
+/// meet them.
 fn tags<C: Component>(world: &mut World) -> Vec<(Entity, u32, usize)> {
     let mut query = world.query_filtered::<(Entity, &EnvId, &Morphology), With<C>>();
     let mut tags: Vec<(Entity, u32, usize)> =
@@ -113,7 +115,8 @@ fn every_entity_is_tagged_once_and_in_order() {
     check_tags(&mut sim);
 }
 
-/// The blocks that systems read are the morphologies' envs, and hold all rows of `C`, one after the other.
+/// The blocks that systems read are the morphologies' envs, and hold all rows of `C`, one after the
+/// other.
 fn check_rows<C: Component<Mutability = Mutable>, K: RowKind>(world: &mut World, num_envs: usize) {
     let by_env: Vec<*const C> = {
         let mut rows: Vec<_> =

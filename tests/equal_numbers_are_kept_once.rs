@@ -16,7 +16,8 @@ fn bodies(sim: &mut Sim) -> Vec<Parameters<f32>> {
     all.into_iter().map(|(_, body)| body).collect()
 }
 
-/// Whether the shapes, which the flat task does not randomise, and the masses, which it does, are in the same memory.
+/// Whether the shapes, which the flat task does not randomise, and the masses, which it does, are
+/// in the same memory.
 fn shared(a: &Parameters<f32>, b: &Parameters<f32>) -> (bool, bool) {
     let shapes = std::ptr::eq(&*a.contact_position, &*b.contact_position)
         && std::ptr::eq(&*a.joint_offset, &*b.joint_offset)

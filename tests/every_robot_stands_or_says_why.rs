@@ -1,5 +1,5 @@
-//! Every robot of the library holds its default pose for 20 s of zero actions, or its config says that a policy has to
-//! balance it.
+//! Every robot of the library holds its default pose for 20 s of zero actions, or its config says
+//! that a policy has to balance it.
 
 use polypod::config::Library;
 use polypod::{Autoreset, Sim, SimOptions};

@@ -1,4 +1,5 @@
-//! Forces and torques from outside do what Newton and Euler say, on both engines, until the episode or the next event ends them.
+//! Forces and torques from outside do what Newton and Euler say, on both engines, until the episode
+//! or the next event ends them.
 
 use polypod::components::{BaseVelocity, Body, EnvId, ExternalWrench, JointState};
 use polypod::{Sim, SimOptions};
@@ -44,7 +45,8 @@ fn momentum_grows_by_the_force() {
             let mut query = world.query::<(&Body, &BaseVelocity, &JointState)>();
             for (body, velocity, joints) in query.iter(world) {
                 let mass: f32 = body.0.mass.iter().sum();
-                // the legs hang on springs and swing a little: what is left of the base's velocity is theirs
+                // the legs hang on springs and swing a little: what is left of the base's velocity
+                // is theirs
                 let swing = joints.velocity.iter().map(|v| v.abs()).fold(0.0, f32::max);
                 for axis in 0..3 {
                     let expected = force[axis] * seconds / mass;

@@ -1,4 +1,5 @@
-//! A file is replaced by a whole one or left as it was; links are followed, devices and pipes stay what they are.
+//! A file is replaced by a whole one or left as it was; links are followed, devices and pipes stay
+//! what they are.
 
 use std::fs;
 use std::path::{Path, PathBuf};

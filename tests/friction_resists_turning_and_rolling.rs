@@ -1,4 +1,5 @@
-//! A task's torsional and rolling friction act on its robots, on a plane and on other ground. A task without them has no such rows.
+//! A task's torsional and rolling friction act on its robots, on a plane and on other ground. A
+//! task without them has no such rows.
 
 use polypod::components::{BasePose, BaseVelocity, Body};
 use polypod::dynamics::ContactFriction;

@@ -1,4 +1,5 @@
-//! Heights in terms are heights above the ground below, whatever the ground and however high it lies.
+//! Heights in terms are heights above the ground below, whatever the ground and however high it
+//! lies.
 
 use polypod::components::{BasePose, EnvId, EnvOrigin};
 use polypod::systems::StateField;

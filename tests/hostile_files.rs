@@ -1,12 +1,14 @@
-//! Files of `tests/data/hostile`, by the reader that they are for: each is accepted or refused, and breaks nothing. The fuzz targets
-//! start from them and do the same with what they make of them; what they find is added there.
+//! Files of `tests/data/hostile`, by the reader that they are for: each is accepted or refused, and
+//! breaks nothing. The fuzz targets start from them and do the same with what they make of them;
+//! what they find is added there.
 
 use std::path::Path;
 
 #[path = "../fuzz/src/lib.rs"]
 mod targets;
 
-/// Gives each file of a folder to a target. Both outcomes must come about: a target that refuses everything would test nothing.
+/// Gives each file of a folder to a target. Both outcomes must come about: a target that refuses
+/// everything would test nothing.
 #[track_caller]
 fn each(folder: &str, target: fn(&[u8]) -> bool) {
     let folder = Path::new(crate::ROOT).join("tests/data/hostile").join(folder);

@@ -1,4 +1,5 @@
-//! A leg that lies between the base and the ground carries the base: it does not give way step after step and end inside the ground.
+//! A leg that lies between the base and the ground carries the base: it does not give way step
+//! after step and end inside the ground.
 
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -52,6 +53,7 @@ fn a_leg_under_the_base_stays_above_the_ground() {
         }
     }
     println!("at most {:.1?} mm inside the ground", deepest.map(|depth| 1e3 * depth));
-    // 4 mm is where the first begins; 27, 16 and 14 mm before contacts that are inside each other had to settle further
+    // 4 mm is where the first begins; 27, 16 and 14 mm before contacts that are inside each other
+    // had to settle further
     assert!(deepest.iter().all(|&depth| depth < 0.007), "{deepest:?} m");
 }

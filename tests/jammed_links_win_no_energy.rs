@@ -1,5 +1,6 @@
-//! Links of one robot that got wedged by random targets, in each other or between a joint limit and the ground, do not fly apart when the joints
-//! go passive, nor press with forces that nothing asked for.
+//! Links of one robot that got wedged by random targets, in each other or between a joint limit and
+//! the ground, do not fly apart when the joints go passive, nor press with forces that nothing
+//! asked for.
 
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -12,8 +13,8 @@ const RANDOM_S: f64 = 3.0;
 const TARGET_S: f64 = 0.25;
 const PASSIVE_S: f64 = 1.0;
 
-/// Energy that passive joints win after random targets, as a height of the robot, m, and the largest contact force
-/// over its weight, with physics steps of `dt` s.
+/// Energy that passive joints win after random targets, as a height of the robot, m, and the
+/// largest contact force over its weight, with physics steps of `dt` s.
 fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
     let options = SimulationOptions { dt, ..SimulationOptions::new(robot.to_string(), ENVS) };
     let mut sim = Simulation::new(&options).unwrap();
@@ -47,7 +48,8 @@ fn after_random_targets(robot: &str, dt: f64) -> (f64, f64) {
     (won, largest / weight)
 }
 
-/// By the command that does so for hours: it tells the work of contacts from what the integrator wins where a leg whips through.
+/// By the command that does so for hours: it tells the work of contacts from what the integrator
+/// wins where a leg whips through.
 #[test]
 fn contacts_win_no_energy() {
     let arguments = ["soak", "--robots", &ROBOTS.join(","), "--num-envs", "96", "--minutes", size("3", "30")];
@@ -59,7 +61,8 @@ fn contacts_win_no_energy() {
 #[test]
 fn passive_joints_win_no_energy() {
     for robot in ROBOTS {
-        // at half the usual step, with which the integrator wins half: at 5 ms 21 mm in one of these ANYmal Bs
+        // at half the usual step, with which the integrator wins half: at 5 ms 21 mm in one of
+        // these ANYmal Bs
         let (won, _) = after_random_targets(robot, 0.0025);
         // 1085 mm while friction resisted the push out of penetrations
         assert!(won < 0.015, "{robot}: passive joints lift it by {won} m");

@@ -1,5 +1,5 @@
-//! The observation term `joint_descriptors` says of each joint where it is, how it turns, what drives it and what hangs on it: the
-//! body's own numbers, on any body.
+//! The observation term `joint_descriptors` says of each joint where it is, how it turns, what
+//! drives it and what hangs on it: the body's own numbers, on any body.
 
 use std::path::Path;
 

@@ -1,4 +1,5 @@
-//! A joint that is driven into its limit with all the actuator has stops there, in the air and against the ground.
+//! A joint that is driven into its limit with all the actuator has stops there, in the air and
+//! against the ground.
 
 use polypod::{Control, Simulation, SimulationOptions};
 
@@ -6,7 +7,8 @@ use crate::common::{self, size};
 
 const ENVS: usize = 16;
 
-/// The furthest any joint gets past a limit, rad, and the share of joints that come to stand at one.
+/// The furthest any joint gets past a limit, rad, and the share of joints that come to stand at
+/// one.
 ///
 /// Each env pushes each joint up or down with its effort limit, another combination in each.
 fn furthest(robot: &str, fixed_base: bool, ground: bool) -> (f64, f64) {

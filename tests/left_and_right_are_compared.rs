@@ -1,4 +1,5 @@
-//! Limbs on the left and on the right that are no mirror images of each other draw a warning that says what differs.
+//! Limbs on the left and on the right that are no mirror images of each other draw a warning that
+//! says what differs.
 
 use std::path::Path;
 
@@ -66,7 +67,8 @@ fn feet_of_other_sizes() {
 const BIPED: &str = "<robot name='r'>\
     <link name='base'><inertial><mass value='9'/><inertia ixx='0.1' ixy='0' ixz='0' iyy='0.1' iyz='0' izz='0.1'/></inertial></link>";
 
-/// A leg of hip, thigh, knee and ankle; the sole, with this length, is the ankle's or that of the link before.
+/// A leg of hip, thigh, knee and ankle; the sole, with this length, is the ankle's or that of the
+/// link before.
 fn leg(side: &str, y: f64, sole: f64, has_sole_on_ankle: bool) -> String {
     let inertial = "<inertial><origin xyz='0 0 -0.1'/><mass value='1'/>\
         <inertia ixx='0.01' ixy='0' ixz='0' iyy='0.01' iyz='0' izz='0.01'/></inertial>";

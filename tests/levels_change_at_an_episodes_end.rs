@@ -1,4 +1,5 @@
-//! The terrain curriculum reads how an episode ended: a reset is no end, and no robot is asked for more than it had time for.
+//! The terrain curriculum reads how an episode ended: a reset is no end, and no robot is asked for
+//! more than it had time for.
 
 use polypod::components::{BasePose, EnvId, EnvOrigin, Episode};
 use polypod::{Autoreset, Sim, SimOptions};

@@ -1,7 +1,8 @@
-//! Limbs, roles and their signs are found by geometry for bodies on two, four and six legs, with and without arms.
+//! Limbs, roles and their signs are found by geometry for bodies on two, four and six legs, with
+//! and without arms.
 //!
-//! `tests/data/limbs.json` holds axes, origins and collision shapes of twenty published robot descriptions, and which joint is which, as
-//! their makers' names say.
+//! `tests/data/limbs.json` holds axes, origins and collision shapes of twenty published robot
+//! descriptions, and which joint is which, as their makers' names say.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -261,7 +262,8 @@ fn a_neck_beside_the_middle_plane_is_a_head() {
         (Place::Right, LimbKind::Arm, "R_SHOULDER_PITCH".to_string()),
     ];
     assert_eq!(places(&humanoid(1.0, 1.0, "")), arms);
-    // 3 cm to either side, and back with the next joint; with three joints; with as many as an arm and as heavy
+    // 3 cm to either side, and back with the next joint; with three joints; with as many as an arm
+    // and as heavy
     let head = |y: f64, joints: usize, mass: f64| {
         let all = [("0 1 0", [0.0, y, 0.5], mass), ("0 0 1", [0.0, -y, 0.05], mass), ("1 0 0", [0.0, 0.0, 0.05], mass)];
         row("head", &all[..joints], "")
@@ -284,7 +286,8 @@ fn arms_that_differ_or_are_alone_stay_at_their_sides() {
     let (left, right) = ((Place::Left, LimbKind::Arm), (Place::Right, LimbKind::Arm));
     assert_eq!(kinds(&humanoid(1.0, 3.0, "")), [left, right]);
     assert_eq!(kinds(&humanoid(1.0, 0.0, "")), [left]);
-    // two arms a side: each is the mirror image of the one that is like it, whatever their order in the file
+    // two arms a side: each is the mirror image of the one that is like it, whatever their order in
+    // the file
     let small = |name: &str, y: f64| row(name, &[("0 1 0", [0.1, y, 0.3], 0.2), ("0 1 0", [0.0, 0.0, -0.1], 0.1)], "");
     let roles = humanoid(1.0, 1.0, &(small("b", -0.15) + &small("a", 0.15)));
     assert_eq!(kinds(&roles), [left, left, right, right]);

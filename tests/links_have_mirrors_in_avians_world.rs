@@ -1,5 +1,5 @@
-//! With `physics.mirror_links` rays, events and bodies of Avian's world meet the robots, each env its own, and the robots
-//! do not notice.
+//! With `physics.mirror_links` rays, events and bodies of Avian's world meet the robots, each env
+//! its own, and the robots do not notice.
 
 use avian3d::prelude::*;
 use bevy_ecs::prelude::*;

@@ -1,5 +1,6 @@
-//! Whatever the text, loading gives a model that can be simulated or an error that names the file: no panic, no
-//! overflow of the stack, no endless loop. `PROPTEST_CASES` raises the number of cases.
+//! Whatever the text, loading gives a model that can be simulated or an error that names the file:
+//! no panic, no overflow of the stack, no endless loop. `PROPTEST_CASES` raises the number of
+//! cases.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -104,7 +105,8 @@ fn said_of_the_mesh(model: &Model) -> usize {
     said.filter(|text| text.contains("is taken as") || text.contains("left out")).count()
 }
 
-/// SharedArray are finite, also to the engine; parents come first; the articulation can be built and stepped.
+/// SharedArray are finite, also to the engine; parents come first; the articulation can be built
+/// and stepped.
 fn sound(model: &Model) -> Result<(), TestCaseError> {
     prop_assert_eq!(model.links.len(), model.joints.len() + 1);
     let finite = |numbers: &[f64]| numbers.iter().all(|number| (*number as f32).is_finite());
@@ -238,7 +240,8 @@ enum Edit {
     /// Puts a child elsewhere in the document.
     Graft(Index, Index, Index),
     Insert(Index, &'static str),
-    /// Gives an attribute another value: a nasty one, a number, or one from elsewhere in the document.
+    /// Gives an attribute another value: a nasty one, a number, or one from elsewhere in the
+    /// document.
     Set(Index, Index, &'static str),
     SetNumber(Index, Index, f64),
     Copy(Index, Index, Index, Index),

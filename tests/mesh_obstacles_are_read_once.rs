@@ -1,4 +1,5 @@
-//! A mesh obstacle is its file's surface, for rays and for robots; the loaded task needs the file no more.
+//! A mesh obstacle is its file's surface, for rays and for robots; the loaded task needs the file
+//! no more.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,5 @@
-//! A floating tree that nothing touches keeps its momentum and energy, up to the integrator's error.
+//! A floating tree that nothing touches keeps its momentum and energy, up to the integrator's
+//! error.
 
 use glam::DVec3;
 use polypod::dynamics::Scalar;
@@ -8,8 +9,8 @@ use crate::common::size;
 use crate::passive::move_freely;
 use crate::trees::{Case, ask, fixed_cases, tree};
 
-/// How far linear momentum, angular momentum about the centre of mass, and energy are off after 0.1 s, each relative to
-/// its own scale.
+/// How far linear momentum, angular momentum about the centre of mass, and energy are off after 0.1
+/// s, each relative to its own scale.
 fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     let time = 0.1;
     let (topology, parameters) = (case.topology(), &case.articulation.parameters);
@@ -24,7 +25,8 @@ fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     let impulse = DVec3::from_array(gravity) * mass * time;
     // a body at rest has no scale: 0.1 m/s
     let kinetic_scale = kinetic + 0.005 * mass;
-    // momentum of the same energy in a translation, and in a turn with a radius of gyration of 0.1 m
+    // momentum of the same energy in a translation, and in a turn with a radius of gyration of 0.1
+    // m
     let scale = (2.0 * mass * kinetic_scale).sqrt();
     [
         (change(linear, linear_after) - impulse).length() / scale,
@@ -33,8 +35,9 @@ fn drift(case: &Case, gravity: [f64; 3], steps: usize) -> [f64; 3] {
     ]
 }
 
-/// Semi-implicit Euler moves a tree by velocities that are constant over a step, in a configuration that is not: even the
-/// linear momentum drifts, as the centre of mass does not sit still in the base. All drifts are of first order in the step.
+/// Semi-implicit Euler moves a tree by velocities that are constant over a step, in a configuration
+/// that is not: even the linear momentum drifts, as the centre of mass does not sit still in the
+/// base. All drifts are of first order in the step.
 fn drifts_at_first_order(case: &Case, gravity: [f64; 3]) -> Result<(), TestCaseError> {
     let [coarse, fine] = [200, 400].map(|steps| drift(case, gravity, steps));
     for (k, what) in ["linear momentum", "angular momentum", "energy"].into_iter().enumerate() {
@@ -59,7 +62,8 @@ proptest! {
         drifts_at_first_order(&case, [1.0, 2.0, -9.0])?;
     }
 
-    /// A rigid body about its centre of mass: here the base's velocity is all there is to linear momentum.
+    /// A rigid body about its centre of mass: here the base's velocity is all there is to linear
+    /// momentum.
     #[test]
     fn a_rigid_body_keeps_its_linear_momentum_exactly(case in tree(0..=0, Just(true))) {
         const ROUNDING: f64 = 1000.0 * 8.0 * f64::EPSILON;

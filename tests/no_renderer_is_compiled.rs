@@ -1,4 +1,5 @@
-//! A headless simulator builds no renderer, window or asset pipeline, whatever its dependencies could bring along.
+//! A headless simulator builds no renderer, window or asset pipeline, whatever its dependencies
+//! could bring along.
 
 use std::process::Command;
 

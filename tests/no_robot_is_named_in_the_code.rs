@@ -37,7 +37,8 @@ fn rust_files(folder: &Path, files: &mut Vec<PathBuf>) {
     }
 }
 
-/// SharedArray and texts of the lines outside `#[cfg(test)]` modules that hold a robot's or its maker's name.
+/// SharedArray and texts of the lines outside `#[cfg(test)]` modules that hold a robot's or its
+/// maker's name.
 fn lines_that_name_a_robot(text: &str) -> Vec<(usize, &str)> {
     let mut found = Vec::new();
     let mut in_tests = false;

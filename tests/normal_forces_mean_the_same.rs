@@ -1,5 +1,5 @@
-//! The normal force on a foot is the part of the contact force along the ground's normal, on both engines: on a slope it is no
-//! vertical force.
+//! The normal force on a foot is the part of the contact force along the ground's normal, on both
+//! engines: on a slope it is no vertical force.
 
 use bevy_ecs::prelude::*;
 use polypod::components::{BasePose, ContactForces, EnvOrigin, Feet, Robot};
@@ -11,8 +11,8 @@ const SLOPE: f64 = 0.18;
 /// Distance for slopes of the ground, m.
 const STEP: f32 = 0.01;
 
-/// Sums over half a second of the feet's normal forces, of the parts of their contact forces along the ground's normal, and of their
-/// vertical forces, of a robot that stands on a slope.
+/// Sums over half a second of the feet's normal forces, of the parts of their contact forces along
+/// the ground's normal, and of their vertical forces, of a robot that stands on a slope.
 fn forces(engine: &str) -> [f64; 3] {
     let kind = format!(
         "{{name = \"slope\", type = \"hf_pyramid_slope\", proportion = 1.0, slope_range = [{SLOPE}, {SLOPE}], \

@@ -1,5 +1,5 @@
-//! A term that remembers holds its env's last numbers, oldest first, and restarts with each episode; a further group
-//! next to the policy's changes none of its bits.
+//! A term that remembers holds its env's last numbers, oldest first, and restarts with each
+//! episode; a further group next to the policy's changes none of its bits.
 
 use std::ops::Range;
 

@@ -1,4 +1,5 @@
-//! The grid that the articulated engine stands on is what Avian's rays see, and robots stand on what it holds.
+//! The grid that the articulated engine stands on is what Avian's rays see, and robots stand on
+//! what it holds.
 
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
@@ -60,7 +61,8 @@ fn the_grid_is_what_rays_see() {
     assert!(worst < 1e-3, "grid and rays differ by {worst} m");
 }
 
-/// Where robots are put down and how they are turned: `x` of the env, height of what stands there, and its pitch.
+/// Where robots are put down and how they are turned: `x` of the env, height of what stands there,
+/// and its pitch.
 struct Place {
     x: f32,
     height: f32,
@@ -83,8 +85,8 @@ impl Place {
     }
 }
 
-/// Robots put down at a place hold their default pose for some control steps. Per robot: pose of the base, height of the
-/// lowest foot, and contact forces as a share of the weight.
+/// Robots put down at a place hold their default pose for some control steps. Per robot: pose of
+/// the base, height of the lowest foot, and contact forces as a share of the weight.
 fn stand(task: &str, place: &Place, steps: usize) -> Vec<(BasePose, f32, f64)> {
     let mut sim = calm(task);
     for mut pose in sim.world_mut().query::<&mut BasePose>().iter_mut(sim.world_mut()) {

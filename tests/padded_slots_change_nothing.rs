@@ -26,8 +26,8 @@ fn sim(robots: &[&str]) -> Sim {
     Sim::new(&options(robots)).unwrap_or_else(|error| panic!("{error}"))
 }
 
-/// Actions that depend on the robot's name, the env's place in its block and the slot's name alone; those of absent slots are
-/// drawn from another stream.
+/// Actions that depend on the robot's name, the env's place in its block and the slot's name alone;
+/// those of absent slots are drawn from another stream.
 fn actions(sim: &Sim, t: usize, absent: u64) -> Vec<f32> {
     let width = sim.batch().num_actions;
     let number = |slot: Slot| 100 * slot.role as usize + 10 * slot.place as usize + usize::from(slot.nth);

@@ -8,7 +8,8 @@ use polypod::{Sim, SimOptions};
 use polypod_sim::policy::{Policy, PolicyManifest, sha256};
 use serde::Deserialize;
 
-/// Observations of the simulator and the actions that torch gives on them; written by `tests/python/test_export.py`.
+/// Observations of the simulator and the actions that torch gives on them; written by
+/// `tests/python/test_export.py`.
 #[derive(Deserialize)]
 struct Expected {
     observations: Vec<Vec<f32>>,

@@ -1,7 +1,9 @@
-//! Draws of events lie in their ranges, reach their ends, have their distributions, and depend on no other draw.
+//! Draws of events lie in their ranges, reach their ends, have their distributions, and depend on
+//! no other draw.
 //!
-//! Distributions are tested by Kolmogorov and Smirnov, or for whole numbers by chi-square, independence by correlation, each on a
-//! level of 1 in 1000 or less. The draws are seeded: what passes once passes always.
+//! Distributions are tested by Kolmogorov and Smirnov, or for whole numbers by chi-square,
+//! independence by correlation, each on a level of 1 in 1000 or less. The draws are seeded: what
+//! passes once passes always.
 
 use polypod::components::{
     ActuatorDelay, BasePose, BaseVelocity, Body, Command, EnvId, EventTimers, ExternalWrench, JointState, Stance,
@@ -10,7 +12,8 @@ use polypod::morphology::MorphologyModel;
 use polypod::{Sim, SimOptions};
 
 const ENVS: usize = 3000;
-/// sqrt(n) times the largest distance of two distribution functions that chance exceeds once in 1000 times.
+/// sqrt(n) times the largest distance of two distribution functions that chance exceeds once in
+/// 1000 times.
 const KOLMOGOROV: f64 = 1.949;
 /// sqrt(n) times a correlation that chance exceeds once in 10000 times.
 const CORRELATION: f64 = 3.89;

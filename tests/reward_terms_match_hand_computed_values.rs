@@ -1,4 +1,5 @@
-//! Every reward term of every set, recomputed in double precision from its formula and the state of the step.
+//! Every reward term of every set, recomputed in double precision from its formula and the state of
+//! the step.
 
 use bevy_ecs::prelude::*;
 use polypod::Autoreset;
@@ -209,7 +210,8 @@ impl Seen {
 /// Contact and air times of one robot's feet, counted in whole physics steps.
 #[derive(Default, Clone)]
 struct Timers {
-    /// Physics steps since the foot touched down (positive) or took off (negative), since the beginning if it never did.
+    /// Physics steps since the foot touched down (positive) or took off (negative), since the
+    /// beginning if it never did.
     phase: [i32; 4],
     last_air: [i32; 4],
     last_contact: [i32; 4],
@@ -246,7 +248,8 @@ impl Timers {
     }
 }
 
-/// The inverse of a rotation by the quaternion w, x, y, z, applied to a vector: `v - 2 w (u x v) + 2 u x (u x v)`.
+/// The inverse of a rotation by the quaternion w, x, y, z, applied to a vector: `v - 2 w (u x v) +
+/// 2 u x (u x v)`.
 fn rotate_back([w, x, y, z]: [f64; 4], v: [f64; 3]) -> [f64; 3] {
     let u = [x, y, z];
     let once = cross(u, v);
@@ -326,7 +329,8 @@ fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], whe
     all
 }
 
-/// One robot of each set; nobody resets, so that states and sums stay readable after an episode's end.
+/// One robot of each set; nobody resets, so that states and sums stay readable after an episode's
+/// end.
 fn sim() -> Sim {
     Sim::new(&SimOptions {
         robots: Some(SETS.iter().map(|(robot, _)| robot.to_string()).collect()),
@@ -368,7 +372,8 @@ fn terms_have_the_values_of_their_formulas() {
         for mut sums in world.query::<&mut EpisodeSums>().iter_mut(world) {
             sums.terms.fill(0.0);
         }
-        // two envs of each robot hold still, so that some stand; the others act more and more wildly
+        // two envs of each robot hold still, so that some stand; the others act more and more
+        // wildly
         let before: Vec<f32> = (0..sim.batch().actions.len())
             .map(|i| match i / 12 % ENVS_PER_ROBOT {
                 0 | 1 => 0.0,

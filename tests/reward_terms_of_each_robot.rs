@@ -1,5 +1,5 @@
-//! Each robot is paid by the terms of its set and by no other, and each term has its formula's value for two states
-//! worked out by hand.
+//! Each robot is paid by the terms of its set and by no other, and each term has its formula's
+//! value for two states worked out by hand.
 
 use polypod::components::{
     Action, BasePose, BaseVelocity, ContactSensor, EnvOrigin, Feet, Imu, JointEffort, JointState, PerJoint,
@@ -11,12 +11,14 @@ use polypod::world::Ground;
 use polypod::{Sim, SimOptions};
 use smallvec::smallvec;
 
-/// Unweighted values for a robot that walks, told to go at (0.6, -0.8) m/s and 0.5 rad/s, and for one that is to stand.
+/// Unweighted values for a robot that walks, told to go at (0.6, -0.8) m/s and 0.5 rad/s, and for
+/// one that is to stand.
 ///
-/// Both: v = (0.3, -0.4, 0.2), w = (0.4, -0.3, 0.1), gravity (0.6, 0, -0.8); joints 0.1 rad off, at 0.5 rad/s, 10 rad/s^2 and 2 N m;
-/// actions 0.3 after 0.1; feet LF, LH, RF, RH: air 0.2, 0, 0, 0.1 s, contact 0, 0.02, 0.4, 0 s, last air 0.6, 0.7, 0.3, 0.2 s, last
-/// contact 0.5, 0.1, 0.3, 0.8 s, heights 0.2, 0.03, 0.03, 0.1 m, speeds 0.5, 0, 1, 0 m/s; LH and RF on the ground; one thigh and one
-/// shank in contact. The one that stands moves at v = (0.03, 0.04, 0.2) m/s.
+/// Both: v = (0.3, -0.4, 0.2), w = (0.4, -0.3, 0.1), gravity (0.6, 0, -0.8); joints 0.1 rad off, at
+/// 0.5 rad/s, 10 rad/s^2 and 2 N m; actions 0.3 after 0.1; feet LF, LH, RF, RH: air 0.2, 0, 0, 0.1
+/// s, contact 0, 0.02, 0.4, 0 s, last air 0.6, 0.7, 0.3, 0.2 s, last contact 0.5, 0.1, 0.3, 0.8 s,
+/// heights 0.2, 0.03, 0.03, 0.1 m, speeds 0.5, 0, 1, 0 m/s; LH and RF on the ground; one thigh and
+/// one shank in contact. The one that stands moves at v = (0.03, 0.04, 0.2) m/s.
 const VALUES: [(&str, f64, f64); 22] = [
     // e^-(0.3^2 + 0.4^2) / 0.25; e^-(0.05^2 / 0.25)
     ("track_lin_vel_xy_exp", 0.367_879_4, 0.990_049_8),
@@ -81,7 +83,8 @@ const SPOT: [&str; 15] = [
     "undesired_contacts",
 ];
 
-/// Robots, whether `undesired_contacts` joins the nine terms, and the weights of those that differ: torques, orientation, air time.
+/// Robots, whether `undesired_contacts` joins the nine terms, and the weights of those that differ:
+/// torques, orientation, air time.
 const ROBOTS: [(&str, bool, [f32; 3]); 7] = [
     ("anymal_d", true, [-2.5e-5, -5.0, 0.5]),
     ("anymal_c", true, [-2.5e-5, -5.0, 0.5]),

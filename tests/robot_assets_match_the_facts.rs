@@ -1,4 +1,5 @@
-//! The built-in robots are what their makers' descriptions say, as read by other means (tests/data/robot_facts.json).
+//! The built-in robots are what their makers' descriptions say, as read by other means
+//! (tests/data/robot_facts.json).
 
 use std::collections::BTreeMap;
 
@@ -95,7 +96,8 @@ fn joint_roles_follow_from_geometry() {
     }
 }
 
-/// The engine's base-aligned view puts the feet where the URDF's frames put them, at any joint positions.
+/// The engine's base-aligned view puts the feet where the URDF's frames put them, at any joint
+/// positions.
 fn assert_engine_agrees<S: Scalar + Into<f64>>(robot: &MorphologyModel, trial: usize, tolerance: f64) {
     let (model, topology) = (&robot.model, &robot.topology);
     let turn = |joint: usize| f64::from(noise(1, trial, 0, joint)) * std::f64::consts::PI;

@@ -814,7 +814,8 @@ fn steps_finitely(model: &Model) -> bool {
     state.joint_position.iter().chain(&state.joint_velocity).chain(&state.rotation).all(|x| x.is_finite())
 }
 
-/// One offset, mass or inertia of a robot that is in another unit than the rest: it steps finitely, or is refused.
+/// One offset, mass or inertia of a robot that is in another unit than the rest: it steps finitely,
+/// or is refused.
 #[test]
 fn robots_that_are_read_step_finitely() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots");

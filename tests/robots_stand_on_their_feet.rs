@@ -1,4 +1,5 @@
-//! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to its weight.
+//! Each robot, holding its default pose, keeps standing for 10 s, and its contact forces add up to
+//! its weight.
 
 use polypod::components::{BasePose, BaseVelocity, Body, ContactForces, EnvId};
 use polypod::config::Library;

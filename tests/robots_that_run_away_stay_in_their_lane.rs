@@ -1,5 +1,6 @@
-//! A robot in a pack does what it does alone, bit for bit, however fast it runs away and whatever its neighbours do: what is done to a
-//! lane because another lane needs it changes nothing, at any speed.
+//! A robot in a pack does what it does alone, bit for bit, however fast it runs away and whatever
+//! its neighbours do: what is done to a lane because another lane needs it changes nothing, at any
+//! speed.
 
 use polypod::config::Library;
 use polypod::dynamics::lanes::Simd;
@@ -103,7 +104,8 @@ impl<L: Kernels> Pack<L> {
         .run();
     }
 
-    /// All that a step leaves in a lane. IEEE 754 leaves the bits of a NaN open: all of them are one.
+    /// All that a step leaves in a lane. IEEE 754 leaves the bits of a NaN open: all of them are
+    /// one.
     fn bits(&self, lane: usize) -> Vec<u32> {
         let Self { state, report, .. } = self;
         let lists = [
@@ -127,8 +129,8 @@ impl<L: Kernels> Pack<L> {
     }
 }
 
-/// Steps robots at many speeds in packs and alone, in a pack of nothing but themselves, even beyond the step that breaks them; how many
-/// broke.
+/// Steps robots at many speeds in packs and alone, in a pack of nothing but themselves, even beyond
+/// the step that breaks them; how many broke.
 fn step_packed_and_alone<L: Kernels>(body: &Body, name: &str) -> usize {
     let mut broken = 0;
     for gravity in [-9.81, -1e6] {
@@ -141,7 +143,8 @@ fn step_packed_and_alone<L: Kernels>(body: &Body, name: &str) -> usize {
                 gravity: [0.0, 0.0, gravity],
                 contact: ContactSettings::default(),
             };
-            // every fourth robot is healthy, and its links and joints are near other things than its neighbours'
+            // every fourth robot is healthy, and its links and joints are near other things than
+            // its neighbours'
             let starts: Vec<_> =
                 (0..L::LANES).map(|i| start(body, seed, i, if i % 4 == 3 { 0.3 } else { speed })).collect();
             let mut pack = Pack::<L>::new(body, |lane| &starts[lane]);

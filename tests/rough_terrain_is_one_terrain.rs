@@ -1,4 +1,5 @@
-//! Generated terrain: its figures, the grid that the articulated engine stands on, and what robots meet of it.
+//! Generated terrain: its figures, the grid that the articulated engine stands on, and what robots
+//! meet of it.
 
 use avian3d::prelude::{SpatialQuery, SpatialQueryFilter};
 use bevy_ecs::system::SystemState;
@@ -53,7 +54,8 @@ fn the_grid_is_what_rays_see_on_every_type_of_tile() {
                 let origin = layout.origin(k % layout.num_rows, column);
                 let [x, y] = origin.map(|middle| middle + rng.uniform([-4.0, 4.0]));
                 let seen = height(x, y);
-                // within a cell and a half, what is steeper than 45 degrees is a wall, and any step of a surface that is level
+                // within a cell and a half, what is steeper than 45 degrees is a wall, and any step
+                // of a surface that is level
                 let pitch = 0.25 * heights.cell;
                 let step = if name.starts_with("hf_") || name == "random_rough" { pitch } else { 1e-4 };
                 if common::near_a_step(&height, [x, y], pitch, step) {
@@ -124,7 +126,8 @@ fn tiles_have_the_figures_of_the_task() {
                     counts[steps.round() as usize] += 1;
                 }
                 assert_eq!(counts[0], 0);
-                // 5625 draws of six values: 4.5 standard deviations are 126, and there are 240 such counts
+                // 5625 draws of six values: 4.5 standard deviations are 126, and there are 240 such
+                // counts
                 assert!(counts[1..].iter().all(|&n| i32::abs(n - 937) < 126), "{counts:?}");
                 assert!(vertex(38, 0) < 1e-5, "the edge is flat");
             }

@@ -1,4 +1,5 @@
-//! An env's numbers never reach another env, whatever a plugin does to its entities: it works, or it is refused by name.
+//! An env's numbers never reach another env, whatever a plugin does to its entities: it works, or
+//! it is refused by name.
 
 use bevy_ecs::prelude::*;
 use polypod::components::{BasePose, ContactSensor, EnvId, Imu, Morphology, MountedOn, Robot, Sensors};

@@ -1,4 +1,5 @@
-//! A training gives the same policy, to the bit, for any number of threads and workers and on every instruction set.
+//! A training gives the same policy, to the bit, for any number of threads and workers and on every
+//! instruction set.
 
 use std::sync::{Arc, Barrier, Mutex};
 
@@ -106,7 +107,8 @@ fn of_joints(num_envs: usize) -> SimOptions {
     options
 }
 
-/// Hash of a learner after some iterations. With several workers, each has only seen its share of the episodes.
+/// Hash of a learner after some iterations. With several workers, each has only seen its share of
+/// the episodes.
 fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     fill(&mut learner);
     let (mut rate, mut episodes) = (1e-3, 0);
@@ -147,7 +149,8 @@ fn threads_and_instruction_sets_do_not_change_a_policy_of_joints() {
     }
 }
 
-/// The means of the first actions of the envs of a robot that has 16 envs, in a batch that holds `others` too.
+/// The means of the first actions of the envs of a robot that has 16 envs, in a batch that holds
+/// `others` too.
 fn first_means(others: &[&str]) -> Vec<u32> {
     let robots: Vec<&str> = ["unitree_a1"].iter().chain(others).copied().collect();
     let mut options = SimOptions { robots: Some(robots.iter().map(|name| name.to_string()).collect()), ..of_joints(0) };
@@ -284,7 +287,8 @@ fn mirror_images_change_the_policy() {
     assert!(none != both && none != alternate && both != alternate);
 }
 
-/// Hash of this file's training on any machine. A change of it changes every policy that is trained from now on.
+/// Hash of this file's training on any machine. A change of it changes every policy that is trained
+/// from now on.
 #[test]
 fn the_policy_is_the_one_that_it_was() {
     if size(true, false) {

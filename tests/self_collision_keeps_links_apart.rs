@@ -1,4 +1,5 @@
-//! Links of a robot that may touch each other do not pass through each other, and what pushes them apart is internal.
+//! Links of a robot that may touch each other do not pass through each other, and what pushes them
+//! apart is internal.
 
 use polypod::config::Library;
 use polypod::dynamics::math::Spatial;
@@ -85,7 +86,8 @@ fn random_target(body: &Body, seed: u64, step: usize, joint: usize) -> f64 {
     low + (high - low) * 0.5 * (1.0 + f64::from(common::noise(seed, 0, step / 100, joint)))
 }
 
-/// The deepest overlap of all steps, and of those in which the links have had 0.4 s to come to rest, m.
+/// The deepest overlap of all steps, and of those in which the links have had 0.4 s to come to
+/// rest, m.
 fn deepest(robot: &MorphologyModel, self_collision: bool, seed: u64) -> [f64; 2] {
     let mut body = Body::new(robot, self_collision);
     let mut deepest = [0.0f64; 2];
@@ -151,7 +153,8 @@ fn self_collision_changes_no_momentum() {
     assert!(hits > 20, "links met in {hits} steps only");
 }
 
-/// A thigh meets the trunk where the makers' rounded shells are, and not where the corners of a box around them would be.
+/// A thigh meets the trunk where the makers' rounded shells are, and not where the corners of a box
+/// around them would be.
 #[test]
 fn thighs_swing_clear_of_the_trunk() {
     const INWARDS: f64 = 0.4; // rad

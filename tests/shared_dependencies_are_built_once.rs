@@ -1,4 +1,5 @@
-//! The extension, the program and the tests agree on the features of every dependency that they share, so that cargo builds it once.
+//! The extension, the program and the tests agree on the features of every dependency that they
+//! share, so that cargo builds it once.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::Command;

@@ -119,7 +119,8 @@ fn a_fixed_base_has_joints_only_and_feels_no_ground() {
     assert!(!sim.is_floating());
     assert_eq!((sim.nq(), sim.nv()), (6, 6));
     sim.step(&Control::default(), 1).unwrap();
-    // the torso reaches through the ground, which does not matter to what cannot move; the legs do feel it
+    // the torso reaches through the ground, which does not matter to what cannot move; the legs do
+    // feel it
     let forces = sim.contact_forces();
     assert_eq!(forces[..3], [0.0; 3]);
     assert!(forces[3..].iter().any(|&f| f != 0.0));

@@ -1,4 +1,5 @@
-//! A restored snapshot goes on as the simulation that it was taken from, to the last bit; nothing else is restored.
+//! A restored snapshot goes on as the simulation that it was taken from, to the last bit; nothing
+//! else is restored.
 
 use polypod::{Control, Error, Sim, SimOptions, Simulation, SimulationOptions};
 
@@ -115,8 +116,9 @@ fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Replaces some bytes of a snapshot at regular distances and corrects the checksum: each is restored or refused, and
-/// what is refused leaves the state `before`. `restore` gives the outcome and the state after it. Returns how many were refused.
+/// Replaces some bytes of a snapshot at regular distances and corrects the checksum: each is
+/// restored or refused, and what is refused leaves the state `before`. `restore` gives the outcome
+/// and the state after it. Returns how many were refused.
 fn refused(
     engine: &str,
     snapshot: &[u8],

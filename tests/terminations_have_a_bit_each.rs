@@ -1,4 +1,5 @@
-//! Each termination of a task is counted by a separate bit, and a task with more terms than bits is refused.
+//! Each termination of a task is counted by a separate bit, and a task with more terms than bits is
+//! refused.
 
 use bevy_ecs::prelude::*;
 use polypod::morphology::Morphologies;

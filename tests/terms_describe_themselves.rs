@@ -1,4 +1,5 @@
-//! An observation term says what it is where it is registered, and its mirror image follows from that.
+//! An observation term says what it is where it is registered, and its mirror image follows from
+//! that.
 
 use polypod::systems::{Block, Per, Registry, TermKind, TermSource, TermSpec};
 use polypod::{Sim, SimOptions};

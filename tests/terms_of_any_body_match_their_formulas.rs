@@ -1,5 +1,6 @@
-//! Reward and termination terms for bodies of any kind, recomputed in double precision from their formulas and the state of
-//! the step: air time and symmetry of steps, sums and means over the joints that patterns name, heights and tilts.
+//! Reward and termination terms for bodies of any kind, recomputed in double precision from their
+//! formulas and the state of the step: air time and symmetry of steps, sums and means over the
+//! joints that patterns name, heights and tilts.
 
 use std::path::Path;
 

@@ -6,7 +6,8 @@ use crate::common::{ROBOTS, assert_all_same, busy, ended, step, turning};
 
 #[test]
 fn one_two_and_four_threads_give_the_same_bits() {
-    // no multiple of anything: the last pack of each robot and the last chunk of rows are partly filled
+    // no multiple of anything: the last pack of each robot and the last chunk of rows are partly
+    // filled
     same_bits(&busy(&ROBOTS, 203), 200);
 }
 

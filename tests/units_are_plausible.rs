@@ -1,4 +1,5 @@
-//! Numbers that are plausible in another unit only draw a warning that names element, value, unit and remedy.
+//! Numbers that are plausible in another unit only draw a warning that names element, value, unit
+//! and remedy.
 
 use std::fmt::Write as _;
 use std::path::Path;

@@ -1,5 +1,5 @@
-//! A varied body is the body of a URDF edited by hand: the same numbers, the same description, the same motion. And it stands
-//! on its feet.
+//! A varied body is the body of a URDF edited by hand: the same numbers, the same description, the
+//! same motion. And it stands on its feet.
 
 use std::path::PathBuf;
 
@@ -51,7 +51,8 @@ fn box_of([x, y, z]: [f64; 3]) -> String {
     format!(r#"<box size="{x} {y} {z}"/>"#)
 }
 
-/// A quadruped of boxes and cylinders, with every length, mass and limit multiplied where it stands.
+/// A quadruped of boxes and cylinders, with every length, mass and limit multiplied where it
+/// stands.
 fn urdf(s: &BodyScales) -> String {
     let size = s.size;
     let base = [0.5 * s.base_length, 0.2 * s.base_width, 0.1].map(|x| x * size);

@@ -1,4 +1,5 @@
-//! Articulated bodies in motion for the tests of the dynamics: random trees (proptest strategies) and the built-in robots.
+//! Articulated bodies in motion for the tests of the dynamics: random trees (proptest strategies)
+//! and the built-in robots.
 #![allow(dead_code, reason = "every test is a crate of its own and uses a part of this")]
 
 use std::ops::RangeInclusive;
@@ -140,7 +141,8 @@ pub struct JointMotion {
 struct LinkSpec {
     mass: f64,
     com: [f64; 3],
-    /// Radii of gyration of the mass's distribution along three axes, m: any of them make a valid inertia.
+    /// Radii of gyration of the mass's distribution along three axes, m: any of them make a valid
+    /// inertia.
     spread: [f64; 3],
     axes: [f64; 4],
 }
@@ -236,7 +238,8 @@ fn model_link(name: String, spec: &LinkSpec) -> Link {
     }
 }
 
-/// Random trees with this many joints: revolute and prismatic, aligned and general axes, any branching.
+/// Random trees with this many joints: revolute and prismatic, aligned and general axes, any
+/// branching.
 pub fn tree(joints: RangeInclusive<usize>, floating: impl Strategy<Value = bool>) -> impl Strategy<Value = Case> {
     (floating, link(), base_motion(), prop::collection::vec(joint(), joints)).prop_map(
         |(floating, base, motion, specs)| {

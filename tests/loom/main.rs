@@ -1,5 +1,6 @@
-//! The thread team of `src/thread_team.rs` under loom, which runs each test once for every order in which the threads' steps can follow one
-//! another, weak memory included. `make test` runs it; it is a program, so that the unit tests of that file stay out of it.
+//! The thread team of `src/thread_team.rs` under loom, which runs each test once for every order in
+//! which the threads' steps can follow one another, weak memory included. `make test` runs it; it
+//! is a program, so that the unit tests of that file stay out of it.
 
 mod sync;
 #[path = "../../src/thread_team.rs"]
@@ -10,7 +11,8 @@ use loom::model::Builder;
 
 use thread_team::ThreadTeam;
 
-/// SharedArray that loom watches: two accesses that nothing keeps apart, one of them a write, fail the test.
+/// SharedArray that loom watches: two accesses that nothing keeps apart, one of them a write, fail
+/// the test.
 struct Watched(Vec<UnsafeCell<u32>>);
 
 // SAFETY: loom checks every access
