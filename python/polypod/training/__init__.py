@@ -1,1 +1,4 @@
-"""Training with rsl_rl: configuration, run directories, the runner and its reports. Needs the `train` extra."""
+"""Training with rsl_rl: configuration, run directories, the runner and its reports.
+
+Needs the `train` extra.
+"""

@@ -12,15 +12,17 @@ from tensorboard.compat.proto import event_pb2, summary_pb2
 from tensorboard.summary.writer.record_writer import RecordWriter
 
 MAX_PENDING = 16 << 20
-"""Bytes that wait for a disk that takes nothing: some 10,000 iterations. Beyond them the oldest are given up."""
+"""Bytes that wait for a disk that takes nothing: some 10,000 iterations. Beyond them the oldest are
+given up."""
 _files = itertools.count()
 
 
 class Curves:
     """One file of TensorBoard's events.
 
-    TensorBoard's writer has a thread that ends with a traceback where the disk is full, and the training with it. Here
-    records wait for the next flush, and half a record is taken back: readers stop at one.
+    TensorBoard's writer has a thread that ends with a traceback where the disk is full, and the
+    training with it. Here records wait for the next flush, and half a record is taken back: readers
+    stop at one.
     """
 
     def __init__(self, folder: Path, purge_step: int | None, warn: Callable[[str], None]) -> None:

@@ -1,8 +1,8 @@
 """Standard deviations of the actions stay where the policy can act with them.
 
-They are free parameters, and an optimiser knows no bounds: with a small deviation and a large rate a step ends below 0.
-rsl_rl limits them where they are used, so that checkpoints and curves would say another number than the policy acts
-with, and the gradient below the limit is 0.
+They are free parameters, and an optimiser knows no bounds: with a small deviation and a large rate
+a step ends below 0. rsl_rl limits them where they are used, so that checkpoints and curves would
+say another number than the policy acts with, and the gradient below the limit is 0.
 """
 
 from typing import Any

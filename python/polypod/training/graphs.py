@@ -9,14 +9,18 @@ WARM_UP = 3
 
 
 class Graphs:
-    """Steps that a CUDA device replays as graphs. On another device they are computed as they are."""
+    """Steps that a CUDA device replays as graphs.
+
+    On another device they are computed as they are.
+    """
 
     def __init__(self, device: torch.device, changed: Callable[[], list[torch.Tensor]], mode: str = "global") -> None:
         """Before the first step.
 
         Args:
             device: where the steps compute.
-            changed: the tensors that steps change and begin with. A capture leaves them as they were.
+            changed: the tensors that steps change and begin with. A capture leaves them as they
+                were.
             mode: see `capture_error_mode` of `torch.cuda.graph`.
         """
         self._device, self._changed, self._mode = device, changed, mode

@@ -47,7 +47,10 @@ _SERVICES = {
 
 
 def _service(kind: str, log_dir: str, project: str, env_cfg: Any, train_cfg: dict[str, Any]) -> Any:
-    """A writer of rsl_rl for a service. Raises ConfigError where its package or account is missing."""
+    """A writer of rsl_rl for a service.
+
+    Raises ConfigError where its package or account is missing.
+    """
     module, _, name = _SERVICES[kind].partition(":")
     try:
         writer = getattr(importlib.import_module(module), name)(log_dir, project)
@@ -63,8 +66,9 @@ def _service(kind: str, log_dir: str, project: str, env_cfg: Any, train_cfg: dic
 class TrainingLogger(Logger):
     """rsl_rl's bookkeeping of rewards and episode lengths, with another output.
 
-    rsl_rl's own logger prints some 150 lines per iteration, stores the diffs of foreign repositories, and averages the
-    env's log over steps; here the simulator averages it over the episodes that ended in the iteration.
+    rsl_rl's own logger prints some 150 lines per iteration, stores the diffs of foreign
+    repositories, and averages the env's log over steps; here the simulator averages it over the
+    episodes that ended in the iteration.
     """
 
     total_num_envs: int
@@ -112,8 +116,8 @@ class TrainingLogger(Logger):
             kind: "tensorboard", "wandb", "neptune" or "none".
             project: of wandb and neptune.
             warn: is told when the disk takes no curves.
-            purge_step: records of this and later iterations, left by a run that went on after its last checkpoint, are
-                dropped.
+            purge_step: records of this and later iterations, left by a run that went on after its
+                last checkpoint, are dropped.
 
         Raises:
             ConfigError: where the package or the account of wandb or neptune is missing.

@@ -2,8 +2,8 @@
 
 Policy, simulator and update take turns on the simulator's threads.
 
-rsl_rl's networks and optimiser stay as the form in which a run is begun, saved and loaded. So a run may begin with one
-learner and go on with the other.
+rsl_rl's networks and optimiser stay as the form in which a run is begun, saved and loaded. So a run
+may begin with one learner and go on with the other.
 """
 
 import json

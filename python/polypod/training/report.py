@@ -17,7 +17,10 @@ _PLAIN_INTERVAL_S = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Iteration:
-    """One iteration's figures. Rewards and lengths (control steps) are means over the last 100 episodes."""
+    """One iteration's figures.
+
+    Rewards and lengths (control steps) are means over the last 100 episodes.
+    """
 
     done: int
     total: int

@@ -12,8 +12,9 @@ EPSILON = 1e-8
 class RewardScale:
     """Divides each robot's rewards by the running deviation of its discounted return.
 
-    The reward sets of different robots differ in scale by more than ten, while one critic fits all returns and one
-    update averages over all advantages. Scaling changes no robot's own preferences: its rewards keep their proportions.
+    The reward sets of different robots differ in scale by more than ten, while one critic fits all
+    returns and one update averages over all advantages. Scaling changes no robot's own preferences:
+    its rewards keep their proportions.
     """
 
     def __init__(
@@ -31,7 +32,8 @@ class RewardScale:
             gamma: the discount of the learner.
             device: where rewards are.
             workers: those that have the other envs; None: there are none.
-            together: sum for all robots at once, which takes fewer kernels of a GPU and rounds differently.
+            together: sum for all robots at once, which takes fewer kernels of a GPU and rounds
+                differently.
         """
         self._workers = workers or Workers.alone()
         self.blocks = blocks

@@ -1,7 +1,7 @@
 """Left and right exchanged: what a legged body's observations and actions become in a mirror.
 
-Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies", ICRA 2024: PPO learns faster when
-every sample is also seen mirrored.
+Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Policies", ICRA 2024: PPO
+learns faster when every sample is also seen mirrored.
 """
 
 import torch
@@ -41,7 +41,8 @@ class Mirror:
 
         Args:
             env: the env, which is not looked at.
-            obs: groups of observations, [n, size] each, and in batches of different bodies `action_mask`.
+            obs: groups of observations, [n, size] each, and in batches of different bodies
+                `action_mask`.
             actions: [n, num_actions].
 
         Returns:

@@ -1,8 +1,9 @@
 """The workers of a training: processes that each simulate a share of the envs and learn together.
 
-`torchrun` or Ray starts them and tells each of them its number in the environment (`RANK`, `WORLD_SIZE`, `LOCAL_RANK`,
-`LOCAL_WORLD_SIZE`, `MASTER_ADDR`, `MASTER_PORT`). Numbers cross over through torch.distributed: gloo between CPUs, NCCL
-between GPUs, and gloo where workers share a GPU. Messages are MessagePack, which holds numbers and text alone.
+`torchrun` or Ray starts them and tells each of them its number in the environment (`RANK`,
+`WORLD_SIZE`, `LOCAL_RANK`, `LOCAL_WORLD_SIZE`, `MASTER_ADDR`, `MASTER_PORT`). Numbers cross over
+through torch.distributed: gloo between CPUs, NCCL between GPUs, and gloo where workers share a GPU.
+Messages are MessagePack, which holds numbers and text alone.
 """
 
 import contextlib
@@ -30,7 +31,8 @@ _Bytes = npt.NDArray[np.uint8]
 TIMEOUT = timedelta(minutes=5)
 """How long workers wait for one another. All come to the same calls within an iteration."""
 LOST_S = 20.0
-"""How long a worker that meets a broken connection waits for signs of life of those on other hosts, s."""
+"""How long a worker that meets a broken connection waits for signs of life of those on other hosts,
+s."""
 SLOW = 1.5
 """A worker counts as slow if it takes this many times the median of all workers."""
 
@@ -115,7 +117,8 @@ class Workers:
 
         Args:
             num_envs: of all workers.
-            learner: native, whose shares are whole blocks of envs, or rsl_rl, whose shares are equal.
+            learner: native, whose shares are whole blocks of envs, or rsl_rl, whose shares are
+                equal.
 
         Raises:
             ConfigError: for a number of envs that cannot be shared out.
@@ -270,7 +273,10 @@ class Workers:
             self.waited += time.perf_counter() - begin
 
     def _fail(self, error: Exception) -> NoReturn:
-        """Raises what a user is to read: in one of those that are left. The others end without a word."""
+        """Raises what a user is to read: in one of those that are left.
+
+        The others end without a word.
+        """
         if len(self.places) < self.count:
             raise LostWorkerError(f"cannot reach the other workers: {_first_line(error)}; start all of them anew")
         lost = self._lost()
