@@ -44,8 +44,8 @@ def joint_power(effort: npt.ArrayLike, velocity: npt.ArrayLike) -> Array:
 def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, Array]:
     """Planar speeds of the feet that are in contact, summed, m/s, and how many are in contact.
 
-    A foot's velocity is that of its centre: a round foot that rolls without sliding counts too, with the speed of its
-    middle.
+    A foot's velocity is that of its centre: a round foot that rolls without sliding counts too,
+    with the speed of its middle.
 
     Args:
         forces: [num_envs, 3 feet], net contact force on each foot, N.

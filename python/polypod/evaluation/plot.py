@@ -23,7 +23,10 @@ _COLUMNS = 4
 
 
 def picture(summary: Summary, out: Path) -> None:
-    """Draws a summary. Raises ConfigError without matplotlib, or where the file cannot be written."""
+    """Draws a summary.
+
+    Raises ConfigError without matplotlib, or where the file cannot be written.
+    """
     pyplot = pyplot_for("--plot")
     maps = _maps(summary.evaluations)
     bar_rows, map_rows = -(-len(BARS) // 3), -(-len(maps) // _COLUMNS)

@@ -15,8 +15,8 @@ from polypod.provenance import Measured
 Array = npt.NDArray[np.float64]
 
 FOLLOWS = 0.5, 0.2
-"""An episode succeeds if the robot stays up and its planar velocity error, averaged over the episode, is at most this
-share of a standing robot's, or this much (m/s)."""
+"""An episode succeeds if the robot stays up and its planar velocity error, averaged over the
+episode, is at most this share of a standing robot's, or this much (m/s)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +26,8 @@ class TileResult:
     level: int
     episodes: int
     success: float
-    """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    """Share of the episodes without a fall in which the robot followed its commands, see
+    `FOLLOWS`."""
     fall_rate: float
 
 
@@ -45,7 +46,10 @@ class CommandResult:
 
 @dataclasses.dataclass(frozen=True)
 class RobotResult:
-    """One robot's figures. Errors and power are time averages per episode, averaged over episodes."""
+    """One robot's figures.
+
+    Errors and power are time averages per episode, averaged over episodes.
+    """
 
     episodes: int
     reward_per_s: float
@@ -60,16 +64,18 @@ class RobotResult:
     fall_rate: float
     """Share of the episodes that terminated before the time limit."""
     success_rate: float
-    """Share of the episodes without a fall in which the robot followed its commands, see `FOLLOWS`."""
+    """Share of the episodes without a fall in which the robot followed its commands, see
+    `FOLLOWS`."""
     tracking_reward: float
-    """Share of the reference's tracking reward, exp(-error^2 / 0.25) of the planar velocity and half as much of the yaw
-    rate, that the robot earned in the time of a whole episode: 1 for perfect following, nothing after a fall."""
+    """Share of the reference's tracking reward, exp(-error^2 / 0.25) of the planar velocity and
+    half as much of the yaw rate, that the robot earned in the time of a whole episode: 1 for
+    perfect following, nothing after a fall."""
     episode_length_s: float
     power: float
     """W, mechanical, of all joints: see `measures.joint_power`."""
     cost_of_transport: float
-    """Energy of all episodes over weight times planar distance; the weight is that of the robot without random masses.
-    NaN for a robot that has not moved or has no weight."""
+    """Energy of all episodes over weight times planar distance; the weight is that of the robot
+    without random masses. NaN for a robot that has not moved or has no weight."""
     foot_slip: float
     """m/s, mean planar speed of the feet while they are in contact; NaN for one that never is."""
     terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
@@ -77,7 +83,8 @@ class RobotResult:
     commands: list[CommandResult] = dataclasses.field(default_factory=list)
     """By command; empty without a grid of commands."""
     walking: Walking | None = None
-    """Figures of the definition of walking; None where the commands were not those of its schedule."""
+    """Figures of the definition of walking; None where the commands were not those of its
+    schedule."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of successful episodes on tiles of a type and level, or of all; NaN without any."""
@@ -115,16 +122,19 @@ class Evaluation:
     """Commands along each axis, where each episode held one; None: see `commands`."""
     robots: dict[str, RobotResult]
     checkpoint: dict[str, Any] | None = None
-    """Where the policy came from: file, iteration, and the task, robots and seed of its training."""
+    """Where the policy came from: file, iteration, and the task, robots and seed of its
+    training."""
     measured: Measured | None = None
     """Date, machine and commit; None in files of builds that did not write it."""
     disturbances: list[str] = dataclasses.field(default_factory=list)
-    """Keys of the noise, the pushes and the randomisation that were on, see `polypod._core.disturbances`."""
+    """Keys of the noise, the pushes and the randomisation that were on, see
+    `polypod._core.disturbances`."""
     distances: dict[str, Distance] = dataclasses.field(default_factory=dict)
     """By robot, how far those that the policy was not trained on are from its training bodies."""
     commands: str = "task"
-    """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid", or "task" for
-    commands as the task draws them. Files of builds that did not write it hold the latter two."""
+    """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid",
+    or "task" for commands as the task draws them. Files of builds that did not write it hold the
+    latter two."""
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON: None stands for a number that is not finite."""
@@ -164,8 +174,8 @@ def robot_result(
     """One robot's figures.
 
     Args:
-        sums: of `measures.of_step` over each episode, [episodes, envs]; with `level`, and `command` [episodes, envs, 3]
-            where the commands are those of a grid.
+        sums: of `measures.of_step` over each episode, [episodes, envs]; with `level`, and `command`
+            [episodes, envs, 3] where the commands are those of a grid.
         length: control steps that an episode may last.
         step_dt: length of a control step, s.
         weight: of the robot, N.

@@ -16,7 +16,8 @@ WALKING = tuple(name for name in walking.FIGURES if name not in FIGURES)
 """Names of the figures of walking that a robot has in addition to `results.FIGURES`."""
 
 CONFIDENCE = 0.95
-"""Confidence of an interval: the share of intervals, computed like this, that hold the true mean."""
+"""Confidence of an interval: the share of intervals, computed like this, that hold the true
+mean."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +99,9 @@ def interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interva
 def t_quantile(probability: float, degrees: int) -> float:
     """Quantile of Student's t distribution, for probabilities from a half to one.
 
-    With t = sqrt(degrees) tan(a) the distribution function is the integral of cos(a)^(degrees - 1), over its total
-    (Abramowitz and Stegun 26.7.1); it is integrated and inverted numerically, to 1e-6.
+    With t = sqrt(degrees) tan(a) the distribution function is the integral of cos(a)^(degrees - 1),
+    over its total (Abramowitz and Stegun 26.7.1); it is integrated and inverted numerically, to
+    1e-6.
     """
     angles = np.linspace(0.0, 0.5 * math.pi, 200_001)
     density = np.cos(angles) ** (degrees - 1)

@@ -2,13 +2,15 @@
 
 A robot walks if, over episodes of `EPISODE_S` in which its command changes every `SEGMENT_S`,
 
-- its planar velocity error is at most `MAX_ERROR_XY` and at most `MAX_SHARE_OF_STILL` of a standing robot's,
-- its yaw rate error is at most `MAX_ERROR_YAW`, and its pure turns reach `LEAST_TURN` of what is asked,
+- its planar velocity error is at most `MAX_ERROR_XY` and at most `MAX_SHARE_OF_STILL` of a standing
+  robot's,
+- its yaw rate error is at most `MAX_ERROR_YAW`, and its pure turns reach `LEAST_TURN` of what is
+  asked,
 - it falls in at most `MAX_FALL_RATE` of the episodes,
 - told to stop, it drifts at most `MAX_DRIFT_XY` and `MAX_DRIFT_YAW`.
 
-`Schedule.draw` makes the commands, `Record` measures a simulation of any engine, `Walking` holds one robot's figures,
-and `walks` and `why_not` judge them. See `Walking` for the exact formulas.
+`Schedule.draw` makes the commands, `Record` measures a simulation of any engine, `Walking` holds
+one robot's figures, and `walks` and `why_not` judge them. See `Walking` for the exact formulas.
 """
 
 import dataclasses
@@ -35,7 +37,8 @@ MAX_SHARE_OF_STILL = 0.5
 MAX_ERROR_YAW = 0.25
 """Yaw rate error, rad/s."""
 LEAST_TURN = 0.6
-"""Yaw rate of a pure turn over the commanded one, in the direction that the robot turns to less well."""
+"""Yaw rate of a pure turn over the commanded one, in the direction that the robot turns to less
+well."""
 MAX_FALL_RATE = 0.05
 """Share of the episodes with a fall."""
 MAX_DRIFT_XY = 0.05
@@ -52,17 +55,19 @@ BOUNDS = {
     "drift_xy": MAX_DRIFT_XY,
     "drift_yaw": MAX_DRIFT_YAW,
 }
-"""All bounds, as files of results say them; `turn_reached` is the least, the others are the most."""
+"""All bounds, as files of results say them; `turn_reached` is the least, the others are the
+most."""
 
 BOX, TURN, SIDE, STOP = KINDS = ("box", "turn", "side", "stop")
-"""Kinds of a segment: a draw from the whole command box, a pure turn, a pure side-step, no velocity at all."""
+"""Kinds of a segment: a draw from the whole command box, a pure turn, a pure side-step, no velocity
+at all."""
 
 SETTLES_S = {TURN: 1.0, SIDE: 1.0, STOP: 2.0}
 """Time after the command, s, from which the mean motion of a segment is taken."""
 
 LEAST_RANGE = 0.1
-"""A box has turns (side-steps) if it reaches this yaw rate, rad/s (left or right velocity, m/s): twice the drift that a
-standing robot may have."""
+"""A box has turns (side-steps) if it reaches this yaw rate, rad/s (left or right velocity, m/s):
+twice the drift that a standing robot may have."""
 
 _PATTERNS = (
     (BOX, TURN, STOP, SIDE),
@@ -70,13 +75,14 @@ _PATTERNS = (
     (SIDE, BOX, STOP, TURN),
     (BOX, SIDE, BOX, TURN),
 )
-"""Kinds of the segments of an episode. An env has one turn and one side-step, every other env has a stop, and a stop
-comes after a motion."""
+"""Kinds of the segments of an episode. An env has one turn and one side-step, every other env has a
+stop, and a stop comes after a motion."""
 
 _SPEEDS = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
 
 Ranges = Mapping[str, Sequence[float]]
-"""A robot's command box, as `VecSim.command_ranges` gives it: `lin_vel_x`, `lin_vel_y` (m/s), `ang_vel_z` (rad/s)."""
+"""A robot's command box, as `VecSim.command_ranges` gives it: `lin_vel_x`, `lin_vel_y` (m/s),
+`ang_vel_z` (rad/s)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,9 +102,10 @@ class Schedule:
     def draw(cls, ranges: Ranges, num_envs: int, steps: int, step_dt: float, seed: int) -> "Schedule":
         """The commands that walking is judged by, of the envs of one robot.
 
-        An env's commands depend on the seed, its index among the robot's envs and the robot's ranges alone. Turns and
-        side-steps have half to all of the largest speed of their direction, and directions alternate between envs.
-        Where the box has no turns or no side-steps, draws from the whole box take their place.
+        An env's commands depend on the seed, its index among the robot's envs and the robot's
+        ranges alone. Turns and side-steps have half to all of the largest speed of their direction,
+        and directions alternate between envs. Where the box has no turns or no side-steps, draws
+        from the whole box take their place.
 
         Args:
             ranges: the robot's command box.
@@ -217,19 +224,21 @@ class Segments:
 class Walking:
     """One robot's figures over the schedule. A figure that was not measured is NaN.
 
-    With v(t) the planar velocity of the base's centre of mass in base axes, w(t) the yaw rate about the base's z axis,
-    and v*(t), w*(t) the commanded ones, a bar for the mean over time:
+    With v(t) the planar velocity of the base's centre of mass in base axes, w(t) the yaw rate about
+    the base's z axis, and v*(t), w*(t) the commanded ones, a bar for the mean over time:
 
-    - `error_vel_xy` is the mean over episodes of the time average of |v* - v|, `still_error_vel_xy` that of |v*|;
-      `error_vel_yaw` and `still_error_vel_yaw` are those of |w* - w| and |w*|. Episodes end with a fall.
-    - `turn_reached` is mean(w) / w* of a pure turn, each from 1 s after its command to its end, averaged over the turns
-      to the left and over those to the right: the smaller of the two. `side_reached` is the same of the left velocity
-      of pure side-steps.
-    - `drift_xy` is |mean(v)| and `drift_yaw` is |mean(w)| from 2 s after a stop to the end of the segment, averaged
-      over the stops: the length of the mean vector, so that a robot that sways in place does not drift.
+    - `error_vel_xy` is the mean over episodes of the time average of |v* - v|, `still_error_vel_xy`
+      that of |v*|; `error_vel_yaw` and `still_error_vel_yaw` are those of |w* - w| and |w*|.
+      Episodes end with a fall.
+    - `turn_reached` is mean(w) / w* of a pure turn, each from 1 s after its command to its end,
+      averaged over the turns to the left and over those to the right: the smaller of the two.
+      `side_reached` is the same of the left velocity of pure side-steps.
+    - `drift_xy` is |mean(v)| and `drift_yaw` is |mean(w)| from 2 s after a stop to the end of the
+      segment, averaged over the stops: the length of the mean vector, so that a robot that sways in
+      place does not drift.
 
-    Segments that a fall cuts short count in the errors and in the falls, not in `turn_reached`, `side_reached` and
-    `drift_xy`, `drift_yaw`.
+    Segments that a fall cuts short count in the errors and in the falls, not in `turn_reached`,
+    `side_reached` and `drift_xy`, `drift_yaw`.
     """
 
     episodes: int
@@ -251,7 +260,10 @@ class Walking:
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Walking":
-        """Reads `dataclasses.asdict`, where None stands for NaN. Raises KeyError or TypeError for anything else."""
+        """Reads `dataclasses.asdict`, where None stands for NaN.
+
+        Raises KeyError or TypeError for anything else.
+        """
         by_kind = {kind: Segments(**_numbers(Segments, entry)) for kind, entry in content["by_kind"].items()}
         return cls(**{**_numbers(cls, content), "kinds": tuple(content["kinds"]), "by_kind": by_kind})
 
@@ -301,7 +313,8 @@ class Record:
         """Adds a control step. A state that is not finite is a fall.
 
         Args:
-            velocity: [envs, 2], planar velocity of the base's centre of mass after the step, base axes, m/s.
+            velocity: [envs, 2], planar velocity of the base's centre of mass after the step, base
+                axes, m/s.
             yaw_rate: [envs], rad/s.
             fell: [envs], whether the step ended the episode with a fall.
             command: [envs, 3], the commands of the step; None: those of the schedule.
@@ -347,7 +360,8 @@ def figures(records: Sequence[Record], envs: slice = slice(None), kinds: Sequenc
     Args:
         records: one per episode, of the same envs.
         envs: those of the robot.
-        kinds: the kinds of segments that are asked, see `kinds_of`; None: those that the schedules have.
+        kinds: the kinds of segments that are asked, see `kinds_of`; None: those that the schedules
+            have.
     """
     first = records[0]
     steps, settled, fell_in = (
@@ -459,9 +473,10 @@ def shortfall(walking: Walking) -> float:
 
     0 where it meets the bounds, and more the further figures lie beyond them.
 
-    Each figure counts by the part of the way from its bound to its worst value, at most 1: falls to every episode,
-    errors to those of a standing robot, a turn to no turn, drifts to twice their bounds. A figure that was not measured
-    counts 1. The sum orders checkpoints of one training that do not walk yet.
+    Each figure counts by the part of the way from its bound to its worst value, at most 1: falls to
+    every episode, errors to those of a standing robot, a turn to no turn, drifts to twice their
+    bounds. A figure that was not measured counts 1. The sum orders checkpoints of one training that
+    do not walk yet.
     """
     errors = (
         (walking.error_vel_xy, min(MAX_ERROR_XY, MAX_SHARE_OF_STILL * walking.still_error_vel_xy)),
