@@ -30,14 +30,16 @@ NETWORKS: dict[str, type[MLPModel]] = {
     "RNNModel": RNNModel,
     "polypod.networks:UrmaModel": UrmaModel,
 }
-"""By the class names of train configs and manifests, in which a masked perceptron is a `MLPModel`."""
+"""By the class names of train configs and manifests, in which a masked perceptron is a
+`MLPModel`."""
 
 
 def build_actor(model: Mapping[str, Any]) -> MLPModel:
     """The actor that a manifest's `policy` describes, with new weights.
 
     Raises:
-        ConfigError: for a class of network that is none of `NETWORKS`, and for arguments that it does not take.
+        ConfigError: for a class of network that is none of `NETWORKS`, and for arguments that it
+            does not take.
     """
     arguments = dict(model)
     num_obs, num_actions, name = (arguments.pop(key) for key in ("num_obs", "num_actions", "class_name"))

@@ -1,8 +1,8 @@
 """Whether a graph computes what its torch module does, as far as float32 can tell.
 
-An output is a sum of numbers that may be much larger than it. Two runtimes add them in different orders, so their
-results differ by the rounding of these numbers, however small the output is. The same module in float64 tells how large
-that rounding is.
+An output is a sum of numbers that may be much larger than it. Two runtimes add them in different
+orders, so their results differ by the rounding of these numbers, however small the output is. The
+same module in float64 tells how large that rounding is.
 """
 
 import contextlib
@@ -20,8 +20,8 @@ from polypod import _core
 TOLERANCE = 1e-5
 """Largest difference of a graph from its module, see `difference`."""
 ROUNDING = 10.0
-"""How much farther from float64 a graph may be than torch is in float32. Runtimes sum in different orders and
-approximate exponentials differently, which makes a factor of 2 or 3."""
+"""How much farther from float64 a graph may be than torch is in float32. Runtimes sum in different
+orders and approximate exponentials differently, which makes a factor of 2 or 3."""
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -38,8 +38,8 @@ class Expected:
 def expected(module: torch.nn.Module, inputs: Sequence[torch.Tensor], name: str) -> list[Expected]:
     """The outputs of a module for float32 inputs; `name` stands for it in errors.
 
-    The scale of a column is its largest number, or, where rounding is larger than that allows for, the number whose
-    `TOLERANCE` is `ROUNDING` times the rounding.
+    The scale of a column is its largest number, or, where rounding is larger than that allows for,
+    the number whose `TOLERANCE` is `ROUNDING` times the rounding.
 
     Raises:
         ConfigError: for outputs that are not finite.
@@ -81,8 +81,8 @@ def difference(given: Sequence[npt.NDArray[np.float32]], wanted: Sequence[Expect
 def untouched(module: torch.nn.Module) -> Iterator[None]:
     """Lends a module for evaluation on the CPU, and gives it back as it was, also after an error.
 
-    It puts back the mode of each of its parts, devices, gradients, the values of buffers, and torch's random
-    streams.
+    It puts back the mode of each of its parts, devices, gradients, the values of buffers, and
+    torch's random streams.
     """
     modes = [(part, part.training) for part in module.modules()]
     tensors = [*module.parameters(), *module.buffers()]

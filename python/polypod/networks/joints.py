@@ -14,17 +14,21 @@ _PERCEPTRON = 'use a network that looks at no joints, class_name = "MLPModel"'
 
 @dataclasses.dataclass(frozen=True)
 class JointColumns:
-    """Columns of an observation by what they belong to. Nothing about a term is known by its name."""
+    """Columns of an observation by what they belong to.
+
+    Nothing about a term is known by its name.
+    """
 
     states: npt.NDArray[np.int64]
-    """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position, velocity, last action.
+    """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position,
+    velocity, last action.
 
     Each control step of a term with a history is a number, the oldest first."""
     magnitudes: npt.NDArray[np.float32]
     """[numbers], typical magnitude of each of these."""
     descriptions: npt.NDArray[np.int64]
-    """[numbers, joints], what a joint is: terms of the kind `per_joint` that are constants of the robot. A joint that a
-    robot lacks has zeros alone, and no joint that it has."""
+    """[numbers, joints], what a joint is: terms of the kind `per_joint` that are constants of the
+    robot. A joint that a robot lacks has zeros alone, and no joint that it has."""
     general: npt.NDArray[np.int64]
     """[n], columns that belong to no joint."""
     num_obs: int
@@ -43,8 +47,8 @@ def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
         num_joints: slots of the action.
 
     Raises:
-        ConfigError: for an observation without states or without descriptions, and for a term that does not fit the
-            slots.
+        ConfigError: for an observation without states or without descriptions, and for a term that
+            does not fit the slots.
     """
     terms = read_layout(layout)
     states: list[npt.NDArray[np.int64]] = []

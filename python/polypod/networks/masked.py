@@ -1,7 +1,7 @@
 """rsl_rl's perceptron for batches of different bodies: missing actions count for nothing.
 
-The mask of an env's actions is data of its observations, the group `ACTION_MASK`, and so of the rollout. Weights and
-checkpoints are those of the plain perceptron.
+The mask of an env's actions is data of its observations, the group `ACTION_MASK`, and so of the
+rollout. Weights and checkpoints are those of the plain perceptron.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,8 @@ class MaskedMLPModel(MLPModel):
 
         Args:
             args: of `MLPModel`.
-            shares: [num_obs], the share of envs whose robot has each number (`VecSim.observation_shares`).
+            shares: [num_obs], the share of envs whose robot has each number
+                (`VecSim.observation_shares`).
             kwargs: of `MLPModel`.
         """
         super().__init__(*args, **kwargs)
@@ -53,8 +54,8 @@ class MaskedMLPModel(MLPModel):
 class MaskedNormalization(EmpiricalNormalization):
     """Normalises by running mean and deviation.
 
-    Missing numbers stay 0: numbers that some robots lack are divided by the root of their mean square over those that
-    have them, and nothing is subtracted.
+    Missing numbers stay 0: numbers that some robots lack are divided by the root of their mean
+    square over those that have them, and nothing is subtracted.
     """
 
     is_padded: torch.Tensor

@@ -20,15 +20,17 @@ def output_of(state: str) -> str:
 class OnnxNetwork(torch.nn.Module):
     """The network of an ONNX file, run by onnxruntime.
 
-    Its one input is float32 [batch, num_obs], its first output float32 [batch, num_actions]. Further inputs are states,
-    which the network gives back: see `polypod.export.states`. It remembers them until `reset`.
+    Its one input is float32 [batch, num_obs], its first output float32 [batch, num_actions].
+    Further inputs are states, which the network gives back: see `polypod.export.states`. It
+    remembers them until `reset`.
     """
 
     def __init__(self, data: bytes, name: str = "the model", threads: int = 1) -> None:
         """Loads a model. `name` stands for it in errors.
 
         Raises:
-            ConfigError: for what is no ONNX model, for other inputs and outputs, and where onnxruntime is missing.
+            ConfigError: for what is no ONNX model, for other inputs and outputs, and where
+                onnxruntime is missing.
         """
         super().__init__()
         self._session = OnnxSession(data, name, "running an ONNX file", threads)
@@ -66,7 +68,10 @@ class OnnxNetwork(torch.nn.Module):
         return actions
 
     def step(self, observations: torch.Tensor, states: Mapping[str, npt.NDArray[np.float32]]) -> list[torch.Tensor]:
-        """Actions and next states for observations and states. Raises ConfigError for outputs of other sizes."""
+        """Actions and next states for observations and states.
+
+        Raises ConfigError for outputs of other sizes.
+        """
         feed = {self.input: np.ascontiguousarray(observations.numpy(), dtype=np.float32)}
         rows = len(observations)
         wanted: dict[str, tuple[int, ...]] = {self.output: (rows, self.num_actions)}

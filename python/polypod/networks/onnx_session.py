@@ -1,7 +1,7 @@
 """onnxruntime, imported here and nowhere else, and graphs that it runs.
 
-onnxruntime tells its maker of each graph that it loads, and keeps an id of the machine for that in the user's cache. It
-asks once, when it is imported, whether it may: here it may not.
+onnxruntime tells its maker of each graph that it loads, and keeps an id of the machine for that in
+the user's cache. It asks once, when it is imported, whether it may: here it may not.
 """
 
 import os
@@ -23,7 +23,10 @@ Array = npt.NDArray[np.float32]
 
 
 def runtime(purpose: str) -> Any:
-    """Imports onnxruntime, without telemetry. Raises ConfigError, which begins with `purpose`, where it is missing."""
+    """Imports onnxruntime, without telemetry.
+
+    Raises ConfigError, which begins with `purpose`, where it is missing.
+    """
     os.environ.setdefault(TELEMETRY, "1")
     return package("onnxruntime", purpose, "export")
 
@@ -35,7 +38,8 @@ class OnnxSession:
         """Loads the bytes of a graph.
 
         Args:
-            data: an ONNX model that is whole: a file that holds a part of its weights elsewhere is refused.
+            data: an ONNX model that is whole: a file that holds a part of its weights elsewhere is
+                refused.
             name: of the file, in errors.
             purpose: what needs onnxruntime, in errors.
             threads: that compute.

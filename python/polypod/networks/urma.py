@@ -1,10 +1,11 @@
 """A network of joints: it learns what a joint is, not which column of the observation it has.
 
-After URMA, Bohlinger et al., "One Policy to Run Them All: an End-to-end Learning Approach to Multi-Embodiment
-Locomotion", CoRL 2024: every joint is described, one encoder reads all joints, attention over the joints gathers the
-body's state, and one decoder turns it into each joint's action by the joint's description. As there, the deviation of
-an action depends on the joint's description. As in the author's later networks, a joint's action is an inner product of
-the body's state and the joint's key. Here each head shares its attention among a robot's joints.
+After URMA, Bohlinger et al., "One Policy to Run Them All: an End-to-end Learning Approach to
+Multi-Embodiment Locomotion", CoRL 2024: every joint is described, one encoder reads all joints,
+attention over the joints gathers the body's state, and one decoder turns it into each joint's
+action by the joint's description. As there, the deviation of an action depends on the joint's
+description. As in the author's later networks, a joint's action is an inner product of the body's
+state and the joint's key. Here each head shares its attention among a robot's joints.
 
 Joints must be told apart before anything can be learned about them. The joints of one robot differ
 in their descriptions, so every description is compared with those of the other joints, and sines of
@@ -38,22 +39,28 @@ RELATIVE_FLOOR = 0.1
 STD_RANGE = (0.01, 2.0)
 """Bounds of the standard deviation of actions; URMA has 2 at most."""
 _FIRST_FOCUS = 5.0
-"""Deviation of the first attention over a robot's joints: each head begins by looking at one joint or two."""
+"""Deviation of the first attention over a robot's joints: each head begins by looking at one joint
+or two."""
 _FIRST_FREQUENCY = 1.0
-"""Deviation of the first weights of a code: joints that differ by one deviation in n numbers have codes with a
-correlation of exp(-n / 2)."""
+"""Deviation of the first weights of a code: joints that differ by one deviation in n numbers have
+codes with a correlation of exp(-n / 2)."""
 KEY_SCALE = 2.0
-"""Scale of an action's inner product over the numbers of a code. A step of the optimiser moves every number of the
-body's state in the same sense, so the sum over them must be a mean: else a step changes the policy by far more than a
-perceptron's, the divergence that PPO aims at holds the learning rate down, and all else learns slowly."""
+"""Scale of an action's inner product over the numbers of a code. A step of the optimiser moves
+every number of the body's state in the same sense, so the sum over them must be a mean: else a step
+changes the policy by far more than a perceptron's, the divergence that PPO aims at holds the
+learning rate down, and all else learns slowly."""
 REFLEX_SCALE = 0.1
-"""Scale of the reflex, whose weights all joints of all robots share: a step moves all actions in the same sense."""
+"""Scale of the reflex, whose weights all joints of all robots share: a step moves all actions in
+the same sense."""
 OUTSIDE = -1e4
 """Attention to joints that a robot lacks, before the softmax."""
 
 
 class JointCounts(NamedTuple):
-    """Joints of the robots of a rollout. A batch that holds every env equally often has as many for each of them."""
+    """Joints of the robots of a rollout.
+
+    A batch that holds every env equally often has as many for each of them.
+    """
 
     envs: int
     joints: int
@@ -105,8 +112,9 @@ class _Joints(NamedTuple):
 class JointNetwork(torch.nn.Module):
     """From observations [batch, num_obs] to actions of joints, or to numbers about the whole body.
 
-    No parameter's shape depends on the number of joints, so weights go from one body to another. The output of an actor
-    is [batch, 3, slots]: mean, deviation, and 1 where there is a joint; mean and mask are exactly zero elsewhere.
+    No parameter's shape depends on the number of joints, so weights go from one body to another.
+    The output of an actor is [batch, 3, slots]: mean, deviation, and 1 where there is a joint; mean
+    and mask are exactly zero elsewhere.
     """
 
     state_columns: torch.Tensor
@@ -134,7 +142,8 @@ class JointNetwork(torch.nn.Module):
             num_heads: of the attention; each gathers `joint_dim` / 4 numbers.
             hidden_dims: sizes of the layers between the gathered state and the decoder.
             activation: in rsl_rl's words.
-            normalize: by running mean and deviation, which all joints share; else states by their magnitudes alone.
+            normalize: by running mean and deviation, which all joints share; else states by their
+                magnitudes alone.
             init_std: first deviation of the actions.
         """
         super().__init__()
@@ -168,7 +177,8 @@ class JointNetwork(torch.nn.Module):
         torch.nn.init.normal_(self.code.weight, std=_FIRST_FREQUENCY)
         torch.nn.init.uniform_(self.code.bias, 0.0, 2.0 * math.pi)
         self.attention = torch.nn.Linear(joint_dim, num_heads)
-        # heads begin by looking at different joints: from equal weights they would have to find out first
+        # heads begin by looking at different joints: from equal weights they would have to find out
+        # first
         self.focus = torch.nn.Linear(joint_dim, num_heads, bias=False)
         torch.nn.init.normal_(self.focus.weight, std=_FIRST_FOCUS / joint_dim**0.5)
         layers: list[torch.nn.Module] = []
@@ -213,7 +223,8 @@ class JointNetwork(torch.nn.Module):
 
     def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
         """[rows, features] to [rows]."""
-        # the weights are summed over the features: a step of the optimiser shall move the logarithm by about its size
+        # the weights are summed over the features: a step of the optimiser shall move the logarithm
+        # by about its size
         weight = self.deviation.weight / self.deviation.in_features
         with torch.amp.autocast(descriptions.device.type, enabled=False):
             logarithms = torch.nn.functional.linear(descriptions, weight, self.deviation.bias).squeeze(-1)
@@ -262,7 +273,8 @@ class JointNetwork(torch.nn.Module):
     def _sizes(self, counts: torch.Tensor) -> tuple[int, int]:
         """Rows of a batch and places of a sample, for samples with `counts` joints each."""
         batch, slots = counts.shape[0], self.num_joints
-        # a graph has all slots: what it leaves out must not depend on the example that it is traced with
+        # a graph has all slots: what it leaves out must not depend on the example that it is traced
+        # with
         if torch.jit.is_tracing():  # type: ignore[attr-defined, no-untyped-call]
             return batch * slots, slots
         if self.counts is not None:
@@ -324,7 +336,8 @@ def counted(models: Iterable[torch.nn.Module], counts: JointCounts | None) -> It
 
     Args:
         models: networks, of which those of joints are told.
-        counts: of a rollout of which each batch holds every env equally often; None: batches are counted.
+        counts: of a rollout of which each batch holds every env equally often; None: batches are
+            counted.
     """
     networks = [model.mlp for model in models if isinstance(model, UrmaModel)]
     for network in networks:
@@ -339,7 +352,8 @@ def counted(models: Iterable[torch.nn.Module], counts: JointCounts | None) -> It
 class UrmaModel(MLPModel):
     """rsl_rl's model with a `JointNetwork` in the place of its perceptron, as actor or as critic.
 
-    The slots of a robot are read off its description, so that batches of different bodies need no mask.
+    The slots of a robot are read off its description, so that batches of different bodies need no
+    mask.
     """
 
     mlp: JointNetwork
