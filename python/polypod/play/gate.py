@@ -2,12 +2,14 @@
 
 A browser lets every web page open a WebSocket to this machine. Three rules keep strangers out:
 
-- A request must name a host that the page is served under (`Host`), so that a name which an attacker resolves to this
-  machine reaches nothing.
-- A request with an `Origin` must come from a page of the same host and port. Browsers send one with every WebSocket;
-  programs that send none are let in: whatever runs on this machine could steer anyway.
-- A message must set a control of the page to a value that the control offers, trigger one of its keys, or say where
-  the page's camera is. Other messages are dropped; among them are viser's uploads and its public tunnel.
+- A request must name a host that the page is served under (`Host`), so that a name which an
+  attacker resolves to this machine reaches nothing.
+- A request with an `Origin` must come from a page of the same host and port. Browsers send one with
+  every WebSocket; programs that send none are let in: whatever runs on this machine could steer
+  anyway.
+- A message must set a control of the page to a value that the control offers, trigger one of its
+  keys, or say where the page's camera is. Other messages are dropped; among them are viser's
+  uploads and its public tunnel.
 """
 
 import asyncio
@@ -165,8 +167,8 @@ def offers(handle: Any, value: Any) -> bool:
 def open_server(gate: Gate, host: str, port: int) -> Any:
     """Viser's server behind a gate, which has still to be opened.
 
-    viser has no setting for the origins that it serves or for the messages that it takes. While it starts,
-    `websockets.asyncio.server.serve` is therefore one that adds them.
+    viser has no setting for the origins that it serves or for the messages that it takes. While it
+    starts, `websockets.asyncio.server.serve` is therefore one that adds them.
 
     Raises:
         ConfigError: for a version of viser that starts its server in another way.
@@ -200,10 +202,13 @@ def open_server(gate: Gate, host: str, port: int) -> Any:
 
 
 def wake_safely(buffer: Any) -> None:
-    """Lets a buffer of viser's be filled by any thread. It has to be called before anything waits for the buffer.
+    """Lets a buffer of viser's be filled by any thread.
 
-    viser sets the buffer's event in the thread that adds a message, while asyncio's events belong to their loop: a page
-    that connects or leaves at this moment would end the thread with "deque mutated during iteration".
+    It has to be called before anything waits for the buffer.
+
+    viser sets the buffer's event in the thread that adds a message, while asyncio's events belong
+    to their loop: a page that connects or leaves at this moment would end the thread with "deque
+    mutated during iteration".
     """
     buffer.message_event = _EventOfAnyThread(buffer.event_loop)
 

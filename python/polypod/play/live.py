@@ -64,7 +64,8 @@ class Live:
         Args:
             player: what is simulated.
             viewer: its page.
-            build: makes the player of a choice, or raises a PolypodError; None: there is nothing to choose.
+            build: makes the player of a choice, or raises a PolypodError; None: there is nothing to
+                choose.
             choice: what `player` is.
             seed: of drawn commands and pushes.
         """
@@ -98,8 +99,8 @@ class Live:
 
         Args:
             action: what to do.
-            control: what the page used; a newer action of the same control replaces one that still waits. None: the
-                action stands for itself.
+            control: what the page used; a newer action of the same control replaces one that still
+                waits. None: the action stands for itself.
         """
         with self._asked:
             key = object() if control is None else control
@@ -181,7 +182,10 @@ class Live:
         self.changed()
 
     def follow(self, what: int | str) -> None:
-        """Lets the view go with a robot, the group or nothing. Raises ConfigError for anything else."""
+        """Lets the view go with a robot, the group or nothing.
+
+        Raises ConfigError for anything else.
+        """
         if isinstance(what, int):
             self._check_env(what)
         elif what not in (GROUP, NOTHING):
@@ -214,7 +218,10 @@ class Live:
         self.command_by(OWN)
 
     def run_at(self, speed: float) -> None:
-        """Simulated seconds per second from now on. Raises ConfigError for a speed that is not above 0."""
+        """Simulated seconds per second from now on.
+
+        Raises ConfigError for a speed that is not above 0.
+        """
         if not (math.isfinite(speed) and speed > 0.0):
             raise _core.ConfigError(f"speed {speed}: choose a number above 0")
         self.speed = speed

@@ -275,13 +275,14 @@ class Panel:
     def _on_update(self, handle: Any, action: Callable[[Any], None], control: Hashable = None) -> None:
         """Calls `action` with a value that a page has set, and not with one that `refresh` has.
 
-        The gate lets pages send values that the control offers. Between that and the call, another player may have been
-        opened: a value that is not offered any more is dropped.
+        The gate lets pages send values that the control offers. Between that and the call, another
+        player may have been opened: a value that is not offered any more is dropped.
 
         Args:
             handle: the control.
             action: is called by `Live.run`.
-            control: controls of the same name replace each other's actions that still wait. None: the control itself.
+            control: controls of the same name replace each other's actions that still wait. None:
+                the control itself.
         """
 
         def act() -> None:
