@@ -2,8 +2,9 @@
 
 Friction, payload, worn motors, delays, pushes, wrong descriptions, sudden commands.
 
-`polypod robustness` runs a policy through it, in polypod and in MuJoCo. The conditions are entries of
-`conditions.CONDITIONS`; each says how it changes a robot in either simulator and what is allowed in it.
+`polypod robustness` runs a policy through it, in polypod and in MuJoCo. The conditions are entries
+of `conditions.CONDITIONS`; each says how it changes a robot in either simulator and what is allowed
+in it.
 """
 
 from polypod.robustness.conditions import CONDITIONS, Bound, Condition, chosen

@@ -77,8 +77,8 @@ class Mujoco:
             model: in place of the twin; of the only robot.
 
         Raises:
-            ConfigError: for a policy that cannot be exported, a task with obstacles, and where MuJoCo, ONNX or
-                onnxruntime is missing.
+            ConfigError: for a policy that cannot be exported, a task with obstacles, and where
+                MuJoCo, ONNX or onnxruntime is missing.
         """
         manifest: dict[str, Any] = loaded.manifest
         options = run.Options(envs_per_robot=num_envs, steps=setting.steps, seed=setting.seed, overrides=setting.given)

@@ -15,7 +15,10 @@ _FLAG = "--picture"
 
 
 def draw(battery: Battery, out: Path) -> None:
-    """Writes the picture. Raises ConfigError without matplotlib, or where the file cannot be written."""
+    """Writes the picture.
+
+    Raises ConfigError without matplotlib, or where the file cannot be written.
+    """
     pyplot = pyplot_for(_FLAG)
     rows, robots = len(battery.rows), len(battery.robots)
     size = (5.5 + 0.9 * robots, 2.4 + 0.22 * rows)

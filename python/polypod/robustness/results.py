@@ -16,7 +16,8 @@ from polypod.robustness.conditions import Bound
 class Cell:
     """One robot in one condition and simulator. A figure that was not measured is NaN.
 
-    Errors, `turn_reached`, `side_reached` and drifts are those of `polypod.evaluation.walking.Walking`.
+    Errors, `turn_reached`, `side_reached` and drifts are those of
+    `polypod.evaluation.walking.Walking`.
     """
 
     episodes: int
@@ -128,7 +129,8 @@ def cell(record: Record, envs: slice, bound: Bound, *, whole: bool) -> Cell:
         record: what the simulation did.
         envs: those of the robot.
         bound: that of the robot.
-        whole: whether the episodes are whole ones, of which nothing that `bound` names may be missing.
+        whole: whether the episodes are whole ones, of which nothing that `bound` names may be
+            missing.
     """
     figures = walking.figures([record], envs)
     turns = figures.by_kind.get(walking.TURN)
