@@ -81,7 +81,10 @@ def _joints(robots: Sequence[str]) -> dict[str, int]:
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """The figures as Markdown. The mean is that of the costs: what a batch costs that has as many envs of each kind."""
+    """The figures as Markdown.
+
+    The mean is that of the costs: what a batch costs that has as many envs of each kind.
+    """
     lines = [
         provenance.sentence(result["measured"]),
         f"{result['task']}, {result['num_envs']} envs, {result['threads']} threads, whole control steps, medians.",

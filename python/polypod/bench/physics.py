@@ -2,12 +2,12 @@
 
 All step the same robot towards the same targets.
 
-All have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo has its standard
-settings of solver and contacts, which are its fastest. Targets, drawn before anything is timed, change every 20 ms
-about the default pose, so that the robots tread on the spot.
+All have the URDF, the gains, the rotor inertias, the physics step and the number of threads; MuJoCo
+has its standard settings of solver and contacts, which are its fastest. Targets, drawn before
+anything is timed, change every 20 ms about the default pose, so that the robots tread on the spot.
 
-`rollout` runs trajectories from states that the caller holds. `batch`, of MuJoCo 3.17 and newer, keeps the simulations
-and their warm starts between calls.
+`rollout` runs trajectories from states that the caller holds. `batch`, of MuJoCo 3.17 and newer,
+keeps the simulations and their warm starts between calls.
 """
 
 import importlib
@@ -95,7 +95,9 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
 
 
 def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
-    """The same as `rollout` by `mujoco.batch`. None where the installed MuJoCo is older than 3.17 and lacks it.
+    """The same as `rollout` by `mujoco.batch`.
+
+    None where the installed MuJoCo is older than 3.17 and lacks it.
 
     Args:
         name: of the robot.
@@ -138,7 +140,10 @@ def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Refer
 
 
 def _settled(sample: Sample, state: robots.Array, name: str) -> Sample:
-    """The sample after `SETTLE` calls. Raises ConfigError where MuJoCo's state is not finite then."""
+    """The sample after `SETTLE` calls.
+
+    Raises ConfigError where MuJoCo's state is not finite then.
+    """
     for _ in range(SETTLE):
         sample()
     if not np.isfinite(state).all():

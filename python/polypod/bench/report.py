@@ -36,7 +36,10 @@ class Options:
 
 
 def measure(options: Options, progress: Progress) -> dict[str, Any]:
-    """Runs all benchmarks. Raises ConfigError without MuJoCo, UnknownNameError for an unknown robot."""
+    """Runs all benchmarks.
+
+    Raises ConfigError without MuJoCo, UnknownNameError for an unknown robot.
+    """
     seconds, rounds = (0.4, 3) if options.quick else (1.0, 5)
     step_threads = options.step_threads or os.cpu_count() or 1
     info = _core.info()

@@ -8,7 +8,8 @@ import polypod
 from polypod.bench.sampling import Sample
 
 SETTLE = 60
-"""Control steps before anything is timed: robots have left their first pose, and some have fallen."""
+"""Control steps before anything is timed: robots have left their first pose, and some have
+fallen."""
 
 
 def control_steps(
@@ -29,7 +30,8 @@ def control_steps(
         threads: number of threads.
         seed: of the simulation and the actions.
         robots: None: the task's.
-        scale: standard deviation of the actions; at 0.3 most robots stay up, at 1 most fall again and again.
+        scale: standard deviation of the actions; at 0.3 most robots stay up, at 1 most fall again
+            and again.
         overrides: `key=value` changes to the task.
     """
     env = polypod.make(

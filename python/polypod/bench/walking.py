@@ -31,8 +31,9 @@ _WORST = {
 def measure(options: Options, learner: str, seeds: Sequence[int], device: str, progress: Progress) -> dict[str, Any]:
     """Trains until every robot walks, for each seed.
 
-    The deterministic policy is evaluated every `INTERVAL` iterations on `ENVS_PER_ROBOT` envs per robot, without noise,
-    by the definition of `polypod.evaluation.walking`. Neither time nor energy counts the evaluations.
+    The deterministic policy is evaluated every `INTERVAL` iterations on `ENVS_PER_ROBOT` envs per
+    robot, without noise, by the definition of `polypod.evaluation.walking`. Neither time nor energy
+    counts the evaluations.
     """
     runs = []
     for seed in seeds:
