@@ -18,7 +18,10 @@ def pyplot_for(purpose: str) -> Any:
 
 
 def save(figure: Any, out: Path, instead: str = "file") -> None:
-    """Writes a figure. Raises ConfigError, with what to choose another of `instead`, where that is not possible."""
+    """Writes a figure.
+
+    Raises ConfigError, with what to choose another of `instead`, where that is not possible.
+    """
     try:
         kind = out.suffix.lstrip(".") or "png"
         write_filled(out, lambda file: _fill(figure, file, kind))

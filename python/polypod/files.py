@@ -32,8 +32,8 @@ def read_bytes(path: Path, limit: int) -> bytes:
 
     At most `ENDLESS` of a device or a pipe, which need not end.
 
-    Memory is taken for what is there, not for what may be: a regular file is read at once, anything else, or a file
-    that grows meanwhile, piece by piece.
+    Memory is taken for what is there, not for what may be: a regular file is read at once, anything
+    else, or a file that grows meanwhile, piece by piece.
 
     Raises:
         OSError: where it cannot be read.
@@ -75,7 +75,10 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_filled(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
-    """Writes what `fill` puts into a file in memory. Errors are those of `write_bytes`, and those of `fill`."""
+    """Writes what `fill` puts into a file in memory.
+
+    Errors are those of `write_bytes`, and those of `fill`.
+    """
     buffer = io.BytesIO()
     fill(buffer)
     write_bytes(path, buffer.getbuffer())
@@ -86,7 +89,8 @@ def write_bytes(path: Path, data: "bytes | memoryview") -> None:
 
     Folders are made.
 
-    A symbolic link stays and its target is written. Pipes and devices are written to and stay what they are.
+    A symbolic link stays and its target is written. Pipes and devices are written to and stay what
+    they are.
 
     Raises:
         OSError: where it cannot be written.

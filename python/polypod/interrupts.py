@@ -11,7 +11,9 @@ _seen: list[int] = []
 
 
 def watch() -> None:
-    """Remembers each Ctrl-C from now on, and forgets earlier ones. It raises KeyboardInterrupt as before.
+    """Remembers each Ctrl-C from now on, and forgets earlier ones.
+
+    It raises KeyboardInterrupt as before.
 
     Where interrupts are ignored, they stay so.
     """

@@ -22,13 +22,14 @@ TASK_OF_OTHERS = "velocity_flat_legged_play"
 SECONDS = 4.0
 NUM_ENVS = 16
 SAG = 0.3
-"""Largest mean distance of a standing robot's joint from the default pose, rad. Makers' gains allow as much: ANYmal D
-gives way by 0.28 rad and Go2 by 0.26."""
+"""Largest mean distance of a standing robot's joint from the default pose, rad. Makers' gains allow
+as much: ANYmal D gives way by 0.28 rad and Go2 by 0.26."""
 STIFFER = 1.5
 """Factor on the gains for the next try."""
 TRIES = 4
 CARRIED = 0.95
-"""Least share of the weight that the feet of a standing robot carry: the rest lies on its belly or its knees."""
+"""Least share of the weight that the feet of a standing robot carry: the rest lies on its belly or
+its knees."""
 AT_ONCE = 0.05
 """A robot that falls within this time has not fallen: its episode ended for another reason, s."""
 SETTLED = 1.0
@@ -48,7 +49,8 @@ class Standing:
     lasted: float
     """Time until the first of them fell, or all of it, s."""
     carried: float
-    """Share of the weight that the feet carry, the least of all robots; in the last second, or until one fell."""
+    """Share of the weight that the feet carry, the least of all robots; in the last second, or
+    until one fell."""
 
     @property
     def holds(self) -> bool:
@@ -96,8 +98,8 @@ def new_robot(
         out: the TOML to write; None: `<name>.toml` next to the URDF. Its stem is the robot's name.
         name: the robot's name; None: that of `out`, of the URDF, or of its file.
         package_dirs: ROS package -> folder, for `package://` names of meshes.
-        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where geometry alone does
-            not tell.
+        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> the link that is its foot, where
+            geometry alone does not tell.
         force: write over a file that is there.
         joint_roles: slot -> joint of the URDF, where geometry alone does not tell.
         locked_joints: joint of the URDF -> position at which it is held, rad or m.
@@ -106,7 +108,8 @@ def new_robot(
 
     Raises:
         RobotError: where the URDF cannot be read or is no legged robot's.
-        ConfigError: where the file is there already, cannot be written, or has another name than the robot.
+        ConfigError: where the file is there already, cannot be written, or has another name than
+            the robot.
     """
     if name is None and out is not None:
         name = out.stem

@@ -1,6 +1,7 @@
 """Terms of an observation as the simulator states them; no term is known by name here.
 
-A term is stated once, where it is registered in Rust (`TermSpec`). `terms_of` reads those of a simulation.
+A term is stated once, where it is registered in Rust (`TermSpec`). `terms_of` reads those of a
+simulation.
 """
 
 import dataclasses
@@ -87,8 +88,8 @@ class Term:
 
 
 Layout = Sequence[Mapping[str, Any] | tuple[str, int]]
-"""Terms of an observation in order, as manifests of networks of joints hold them: `layout_of` writes them. Manifests of
-earlier versions hold (term, size) alone."""
+"""Terms of an observation in order, as manifests of networks of joints hold them: `layout_of`
+writes them. Manifests of earlier versions hold (term, size) alone."""
 
 
 def terms_of(sim: _core.VecSim, group: str = "policy") -> tuple[Term, ...]:

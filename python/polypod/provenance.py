@@ -26,7 +26,8 @@ class Measured(TypedDict):
     machine: str
     """Processor, number of cores and instruction set."""
     commit: str
-    """First digits of the commit, with `+` where tracked files differ from it; the version of an installed package."""
+    """First digits of the commit, with `+` where tracked files differ from it; the version of an
+    installed package."""
 
 
 def measured() -> Measured:

@@ -18,8 +18,8 @@ def register_tasks() -> None:
 
     `gymnasium.make_vec` gives the batch, `gymnasium.make` one robot.
 
-    A broken config in `POLYPOD_PATH` is a warning here and an error when it is used; all others are registered. Where a
-    folder is not there, only the built-in tasks are registered, with a warning.
+    A broken config in `POLYPOD_PATH` is a warning here and an error when it is used; all others are
+    registered. Where a folder is not there, only the built-in tasks are registered, with a warning.
     """
     try:
         tasks, broken = _core.tasks(), _core.broken_configs()
@@ -60,7 +60,10 @@ def num_robots(task: str, overrides: Sequence[str] = ()) -> int:
 
 
 def task_of(task_id: str) -> str:
-    """The core's name of a task that may be given as a Gymnasium id. Raises TypeError for anything but a text."""
+    """The core's name of a task that may be given as a Gymnasium id.
+
+    Raises TypeError for anything but a text.
+    """
     if not isinstance(task_id, str):
         raise TypeError(
             f"the task is a {type(task_id).__name__}; pass a name or a path as text, such as 'velocity_flat' "

@@ -37,7 +37,8 @@ def make(config: Mapping[str, Any]) -> polypod.VectorEnv | Env:
     Without it a single env, whose spaces RLlib reads.
 
     Args:
-        config: `task`, and options of `polypod.make`. `num_envs` is the number of the share where there is one.
+        config: `task`, and options of `polypod.make`. `num_envs` is the number of the share where
+            there is one.
 
     Raises:
         ConfigError: without a task, with `copy=False`, and as `polypod.make`.
@@ -60,8 +61,9 @@ def make(config: Mapping[str, Any]) -> polypod.VectorEnv | Env:
 class EnvRunner(SingleAgentEnvRunner):
     """An env runner whose batch is its share of one batch of all runners.
 
-    Runner `i` of `n` has the envs that follow those of runner `i - 1`: the same robots, seeds and commands as in one
-    process. It sets `gym_env_vectorize_mode`, and as many threads as Ray has given it cores.
+    Runner `i` of `n` has the envs that follow those of runner `i - 1`: the same robots, seeds and
+    commands as in one process. It sets `gym_env_vectorize_mode`, and as many threads as Ray has
+    given it cores.
     """
 
     config: Any
@@ -82,8 +84,8 @@ class EnvRunner(SingleAgentEnvRunner):
 def register(name: str = NAME) -> str:
     """Tells Ray of the env; returns its name for `AlgorithmConfig.environment`.
 
-    `EnvRunner` keeps a batch in one simulator. RLlib's own env runners do so with the vectorisation mode
-    `VECTORIZE_MODE`; other modes build one simulator per env.
+    `EnvRunner` keeps a batch in one simulator. RLlib's own env runners do so with the vectorisation
+    mode `VECTORIZE_MODE`; other modes build one simulator per env.
     """
     register_env(name, make)
     return name

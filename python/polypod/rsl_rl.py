@@ -3,7 +3,8 @@
 >>> import polypod, polypod.rsl_rl
 >>> env = polypod.rsl_rl.VecEnv(polypod.make("Velocity-Flat-HeteroQuadruped-v0", num_envs=4096), device="cpu")
 
-The simulator runs on the CPU. With a CUDA device, observations, rewards and flags cross over through pinned memory.
+The simulator runs on the CPU. With a CUDA device, observations, rewards and flags cross over
+through pinned memory.
 """
 
 from collections.abc import Mapping
@@ -28,9 +29,9 @@ except ModuleNotFoundError as error:
 class VecEnv(rsl_rl.env.VecEnv):
     """A polypod vector env as rsl_rl wants it.
 
-    rsl_rl stores the observation of step t after it has taken step t + 1, so observations survive one further step: on
-    the CPU they are views of the simulator's two alternating buffers. All other tensors are fresh, and so are
-    observations on a GPU.
+    rsl_rl stores the observation of step t after it has taken step t + 1, so observations survive
+    one further step: on the CPU they are views of the simulator's two alternating buffers. All
+    other tensors are fresh, and so are observations on a GPU.
     """
 
     def __init__(
@@ -41,8 +42,8 @@ class VecEnv(rsl_rl.env.VecEnv):
         Args:
             env: with same-step autoreset, as in `polypod.terms.CustomTerms`.
             device: where the learner lives.
-            log_extras: put the simulator's log into `extras["log"]` at each step that ends an episode. A learner which
-                reads `unwrapped.sim.log()` by itself switches it off.
+            log_extras: put the simulator's log into `extras["log"]` at each step that ends an
+                episode. A learner which reads `unwrapped.sim.log()` by itself switches it off.
 
         Raises:
             ConfigError: for an env with another autoreset mode, and for CUDA where there is none.
@@ -75,7 +76,8 @@ class VecEnv(rsl_rl.env.VecEnv):
     def episode_length_buf(self) -> torch.Tensor:
         """int64 [num_envs], control steps of the current episodes.
 
-        A copy: what is written into it changes nothing. Assign a whole tensor, `env.episode_length_buf = lengths`.
+        A copy: what is written into it changes nothing. Assign a whole tensor,
+        `env.episode_length_buf = lengths`.
         """
         return torch.from_numpy(self._sim.episode_length).to(self.device)
 
@@ -93,8 +95,9 @@ class VecEnv(rsl_rl.env.VecEnv):
 
         Groups: `policy`, and those that the task adds.
 
-        Where some robots lack some of the actions also `action_mask`, float32 [num_envs, num_actions]: 1 where an env's
-        robot has a joint, else 0. The rollout stores it, and `polypod.networks.MaskedMLPModel` reads it.
+        Where some robots lack some of the actions also `action_mask`, float32 [num_envs,
+        num_actions]: 1 where an env's robot has a joint, else 0. The rollout stores it, and
+        `polypod.networks.MaskedMLPModel` reads it.
         """
         groups = {"policy": self._tensor("policy", self._source.observation)}
         for group in self._other_groups:
@@ -115,8 +118,9 @@ class VecEnv(rsl_rl.env.VecEnv):
             actions: [num_envs, num_actions], on any device.
 
         Returns:
-            Observations; rewards float32 [num_envs]; dones int64 [num_envs]; extras with `time_outs`, float32
-            [num_envs]: 1 where the episode was truncated and did not terminate: its return is bootstrapped.
+            Observations; rewards float32 [num_envs]; dones int64 [num_envs]; extras with
+            `time_outs`, float32 [num_envs]: 1 where the episode was truncated and did not
+            terminate: its return is bootstrapped.
 
         Raises:
             ValueError: for another shape, and for a NaN or an infinity.
@@ -143,8 +147,8 @@ class VecEnv(rsl_rl.env.VecEnv):
             actions: float32 [num_envs, num_actions] in the memory of the CPU.
 
         Returns:
-            Rewards, float32; whether each episode ended; whether it was truncated and did not terminate. Each is
-            [num_envs]; the rewards are a view that the next step overwrites.
+            Rewards, float32; whether each episode ended; whether it was truncated and did not
+            terminate. Each is [num_envs]; the rewards are a view that the next step overwrites.
         """
         sim = self._source
         sim.step(actions.numpy())
@@ -184,8 +188,8 @@ class VecEnv(rsl_rl.env.VecEnv):
     def _tensor(self, name: str, array: np.ndarray) -> torch.Tensor:
         """`array` on the learner's device: a view on the CPU, else a new tensor by pinned memory.
 
-        The pinned buffer is free again when the next step begins, because the actions of that step came off the device
-        after this copy was queued.
+        The pinned buffer is free again when the next step begins, because the actions of that step
+        came off the device after this copy was queued.
         """
         host = torch.from_numpy(array)
         if self.device.type == "cpu":

@@ -32,8 +32,8 @@ Indices = None | int | Iterable[int]
 class Actor(torch.nn.Module):
     """The deterministic policy of an algorithm, for `polypod.policy.save_onnx`.
 
-    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or rescales actions to the
-    action space as `predict` does.
+    It normalises observations as the model's `VecNormalize` does, if there is one, and clips or
+    rescales actions to the action space as `predict` does.
     """
 
     low: torch.Tensor
@@ -69,8 +69,9 @@ class Actor(torch.nn.Module):
 class VecEnv(BaseVecEnv):
     """A polypod vector env as Stable-Baselines3 wants it.
 
-    Episodes are reset in the step in which they end. Their `infos` then hold `terminal_observation`,
-    `TimeLimit.truncated`, and `episode` with return `r`, length `l` and time `t` (s), as SB3's `Monitor` writes them.
+    Episodes are reset in the step in which they end. Their `infos` then hold
+    `terminal_observation`, `TimeLimit.truncated`, and `episode` with return `r`, length `l` and
+    time `t` (s), as SB3's `Monitor` writes them.
     """
 
     def __init__(self, env: VectorEnv | CustomTerms) -> None:
@@ -91,7 +92,10 @@ class VecEnv(BaseVecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> FloatArray:
-        """Begins new episodes in all envs, with the seed of `seed`, if there was one. Returns [num_envs, num_obs]."""
+        """Begins new episodes in all envs, with the seed of `seed`, if there was one.
+
+        Returns [num_envs, num_obs].
+        """
         # SB3 counts a seed up from env to env; the envs of polypod draw theirs from one
         observations, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
@@ -108,7 +112,8 @@ class VecEnv(BaseVecEnv):
         """Advances every env by one control step.
 
         Returns:
-            Observations [num_envs, num_obs], rewards and dones [num_envs], and one dict per env. All are fresh.
+            Observations [num_envs, num_obs], rewards and dones [num_envs], and one dict per env.
+            All are fresh.
 
         Raises:
             ConfigError: without a `step_async` before it.

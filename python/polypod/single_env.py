@@ -20,8 +20,9 @@ class Env(gymnasium.Env[FloatArray, FloatArray]):
     >>> import gymnasium, polypod
     >>> env = gymnasium.make("polypod/Velocity-Flat-Spot-v0")
 
-    An observation is float32 [num_obs], an action [num_actions], see `polypod.VectorEnv`. Episodes are not reset by
-    themselves. Batches are what polypod is fast at: prefer `polypod.make` where the learner takes one.
+    An observation is float32 [num_obs], an action [num_actions], see `polypod.VectorEnv`. Episodes
+    are not reset by themselves. Batches are what polypod is fast at: prefer `polypod.make` where
+    the learner takes one.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012  (declared so by Gymnasium)

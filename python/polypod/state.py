@@ -14,9 +14,10 @@ FloatArray = npt.NDArray[np.float32]
 class State:
     """Present state of the robots, for terms in Python.
 
-    Each property is a float32 array [num_envs, n], gathered when it is asked for: a copy, yours to keep, of the state
-    after the last step or reset. Under same-step autoreset that is the new episode's state where one has ended; build
-    the env with `autoreset="disabled"` to see the last state of an episode, as `polypod.terms.CustomTerms` does.
+    Each property is a float32 array [num_envs, n], gathered when it is asked for: a copy, yours to
+    keep, of the state after the last step or reset. Under same-step autoreset that is the new
+    episode's state where one has ended; build the env with `autoreset="disabled"` to see the last
+    state of an episode, as `polypod.terms.CustomTerms` does.
 
     Joints are in canonical order (`VectorEnv.canonical_joint_names`), feet in the order of
     `VectorEnv.feet_names` with x, y, z side by side: twelve joints and LF, LH, RF, RH for
@@ -34,7 +35,8 @@ class State:
     def base_pos(self) -> FloatArray:
         """[num_envs, 3], position of the base relative to the env's origin, m.
 
-        The origin lies on the ground (`VecSim.env_origins`): on terrain at the height of the tile's middle.
+        The origin lies on the ground (`VecSim.env_origins`): on terrain at the height of the tile's
+        middle.
         """
         return self._sim().state("base_pos")
 

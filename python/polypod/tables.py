@@ -29,7 +29,10 @@ class Rows:
         self._lines.append((name, *figures))
 
     def print(self, console: Console) -> None:
-        """Prints the table. Figures that are too many for a line follow in a second table with the same names."""
+        """Prints the table.
+
+        Figures that are too many for a line follow in a second table with the same names.
+        """
         widths = [max(map(len, column)) for column in zip(*self._lines, strict=True)]
         gap = next((gap for gap in _GAPS if sum(widths) + gap * (len(widths) - 1) <= console.width), _GAPS[0])
         for columns in _blocks(widths, gap, console.width):

@@ -53,16 +53,18 @@ else:
 class CustomTerms(_VectorWrapper):
     """A polypod env with custom terms in addition to those of its task.
 
-    A term is a function of `polypod.State`, called once per step with the state that the step has led to, before any
-    env is reset. The wrapped env leaves resets to this one, which behaves as with same-step autoreset: an episode that
-    ends, by the task's terminations or by one's own, is reset in the same step, and its last observation is in
-    `infos["final_obs"]`. Envs whose state broke get no reward, and are ended by the task.
+    A term is a function of `polypod.State`, called once per step with the state that the step has
+    led to, before any env is reset. The wrapped env leaves resets to this one, which behaves as
+    with same-step autoreset: an episode that ends, by the task's terminations or by one's own, is
+    reset in the same step, and its last observation is in `infos["final_obs"]`. Envs whose state
+    broke get no reward, and are ended by the task.
 
-    Observation terms follow the task's own in the observation, without noise. All arrays that are handed out are fresh.
-    Infos are those of the wrapped env; of an episode that has ended they are in `infos["final_info"]`.
+    Observation terms follow the task's own in the observation, without noise. All arrays that are
+    handed out are fresh. Infos are those of the wrapped env; of an episode that has ended they are
+    in `infos["final_info"]`.
 
-    A term gives finite numbers that float32 holds, or its name and the number are in a ConfigError. Rows whose state
-    broke (`State.valid`) may hold anything.
+    A term gives finite numbers that float32 holds, or its name and the number are in a ConfigError.
+    Rows whose state broke (`State.valid`) may hold anything.
     """
 
     env: VectorEnv
@@ -80,13 +82,15 @@ class CustomTerms(_VectorWrapper):
         Args:
             env: made with `autoreset="disabled"`.
             rewards: by name.
-            terminations: by name; each gives a bool per env, [num_envs], True where the episode has failed.
-            observations: by name; each gives float32 [num_envs, n] or [num_envs], as many numbers in each call.
+            terminations: by name; each gives a bool per env, [num_envs], True where the episode has
+                failed.
+            observations: by name; each gives float32 [num_envs, n] or [num_envs], as many numbers
+                in each call.
             source: where the terms come from; errors begin with it.
 
         Raises:
-            ConfigError: for an env that resets by itself, for a weight that is not finite, and for a term that gives
-                another shape or type, or a number that is not finite.
+            ConfigError: for an env that resets by itself, for a weight that is not finite, and for
+                a term that gives another shape or type, or a number that is not finite.
             UnknownNameError: for a reward's robot that is not in the env.
         """
         super().__init__(env)
@@ -173,7 +177,10 @@ class CustomTerms(_VectorWrapper):
         return self.observation, self.reward, self.terminated, self.truncated, infos
 
     def send(self, actions: FloatArray) -> None:
-        """Not for envs with terms in Python, which are computed after the step. Raises ConfigError."""
+        """Not for envs with terms in Python, which are computed after the step.
+
+        Raises ConfigError.
+        """
         raise ConfigError("terms in Python are computed between steps: call step in the place of send and recv")
 
     def recv(self) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -187,8 +194,9 @@ class CustomTerms(_VectorWrapper):
     def log(self) -> dict[str, float]:
         """The log of the task and of the custom terms, over episodes ended since the last call.
 
-        `Episode_Reward/<robot>/<term>`: mean sum of the weighted term over an episode, divided by the full episode's
-        length in seconds. `Episode_Termination/<robot>/<term>`: how many episodes the term ended.
+        `Episode_Reward/<robot>/<term>`: mean sum of the weighted term over an episode, divided by
+        the full episode's length in seconds. `Episode_Termination/<robot>/<term>`: how many
+        episodes the term ended.
         """
         own = {name: float(np.mean(values)) for name, values in self._finished.items()}
         own |= {name: float(count) for name, count in self._ends.items()}

@@ -23,14 +23,16 @@ def save(task: str, out: Path, overrides: Sequence[str] = ()) -> str:
 
     Args:
         task: name, alias or path.
-        out: `.png` gives a shaded map (x to the right, y upwards), `.stl` the triangles, `.npz` the heights.
+        out: `.png` gives a shaded map (x to the right, y upwards), `.stl` the triangles, `.npz` the
+            heights.
         overrides: `key=value` changes to the task.
 
     Returns:
         Summary of the written file, in words.
 
     Raises:
-        ConfigError: the ground is a plane or has no triangles; `out` cannot be written or has another suffix.
+        ConfigError: the ground is a plane or has no triangles; `out` cannot be written or has
+            another suffix.
     """
     suffix = out.suffix.lower()
     if suffix not in (".png", ".stl", ".npz"):

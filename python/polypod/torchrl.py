@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> GymWrapper:
     """Builds a batch of envs for TorchRL: tensors of a batch size [num_envs].
 
-    Arguments and errors are those of `polypod.make`. Arrays must be copies, which is the default: TorchRL keeps them.
+    Arguments and errors are those of `polypod.make`. Arrays must be copies, which is the default:
+    TorchRL keeps them.
     """
     if not options.get("copy", True):
         raise _core.ConfigError("TorchRL keeps what it is handed: leave copy=False out")
@@ -45,11 +46,12 @@ def creators(
         task_id: as of `polypod.make`.
         num_envs: of all workers.
         workers: number of processes.
-        **options: as of `polypod.make`. Without a seed one is drawn for all workers; without threads each worker has
-            its share of this machine's cores.
+        **options: as of `polypod.make`. Without a seed one is drawn for all workers; without
+            threads each worker has its share of this machine's cores.
 
     Raises:
-        ConfigError: for a number of envs that the workers cannot share equally, and for a share of one worker.
+        ConfigError: for a number of envs that the workers cannot share equally, and for a share of
+            one worker.
     """
     if workers < 1 or num_envs % workers:
         raise _core.ConfigError(

@@ -1,4 +1,5 @@
 """The commands of `polypod`, one file each: its arguments, and what it does with them.
 
-torch, TensorBoard and rsl_rl take seconds to import: each command imports what it needs when it runs.
+torch, TensorBoard and rsl_rl take seconds to import: each command imports what it needs when it
+runs.
 """

@@ -32,7 +32,10 @@ def names(text: str | None) -> list[str] | None:
 
 
 def check_names(task: str | None, robots: Sequence[str] | None, overrides: Sequence[str] = ()) -> None:
-    """Reads the configs that these name, before anything slow is imported. Raises UnknownNameError and ConfigError."""
+    """Reads the configs that these name, before anything slow is imported.
+
+    Raises UnknownNameError and ConfigError.
+    """
     from polypod.registration import task_of
 
     if task is None:

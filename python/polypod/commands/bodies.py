@@ -26,7 +26,8 @@ class Bodies:
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
     """Prefix of the robots' names."""
     wide: bool = False
-    """Let quadrupeds also differ in hips, joint limits, motors and gains, as robots of makers do."""
+    """Let quadrupeds also differ in hips, joint limits, motors and gains, as robots of makers
+    do."""
     force: bool = False
     """Replace existing files."""
 

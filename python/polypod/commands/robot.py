@@ -17,7 +17,8 @@ class Robot:
     """
 
     action: Annotated[Literal["new"], tyro.conf.Positional]
-    """new: find legs and arms and a pose to stand in, choose gains by weight, let the robot stand, write the TOML."""
+    """new: find legs and arms and a pose to stand in, choose gains by weight, let the robot stand,
+    write the TOML."""
     file: Annotated[Path, tyro.conf.Positional]
     """The URDF file."""
     name: Name = None
@@ -27,7 +28,8 @@ class Robot:
     package_dir: PackageDirs = ()
     """Folder of a ROS package in `package://` names. May be repeated."""
     foot: Feet = ()
-    """The link that is the foot of a leg, where the URDF does not tell: LF=toe_link. May be repeated."""
+    """The link that is the foot of a leg, where the URDF does not tell: LF=toe_link. May be
+    repeated."""
     role: Roles = ()
     """The joint of a slot, where geometry does not tell: LF_HFE=thigh_joint. May be repeated."""
     lock: Locks = ()
