@@ -38,10 +38,12 @@ All eight take 0.2 s to load, most of it for the collision meshes of the ANYmals
 """
 
 SMALL_TERRAIN = ("scene.terrain.num_rows=2", "scene.terrain.num_cols=10", "scene.terrain.border_width=2.0")
-"""Rough ground with one column or two of each type of tile, for tests of something else than the ground."""
+"""Rough ground with one column or two of each type of tile, for tests of something else than the
+ground."""
 
 PLAY_TERRAIN = ("scene.terrain.num_rows=5", "scene.terrain.num_cols=10", "scene.terrain.border_width=2.0")
-"""The tiles of the Play variants of rough ground without the wide border, for tests of what is sensed of the ground."""
+"""The tiles of the Play variants of rough ground without the wide border, for tests of what is
+sensed of the ground."""
 
 TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 """Options of a training that takes about a second."""

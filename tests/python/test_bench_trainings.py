@@ -69,7 +69,8 @@ def test_workers_share_the_cores(cli, tmp_path):
     row = json.loads((tmp_path / "workers.json").read_text())["workers"]["2"]
     assert row["threads"] == 1
     assert 0.0 < row["wait_s"] < row["iteration_s"]
-    # gradients of the networks 83-128-128-128-12 and -1 in lines of 16, inputs padded to 88; and some statistics
+    # gradients of the networks 83-128-128-128-12 and -1 in lines of 16, inputs padded to 88; and
+    # some statistics
     lines = sum(8 * (inputs + 1) for inputs in 2 * (88, 128, 128)) + 2 * 129 + 1
     assert 20 * 64 * lines < row["sent_bytes"] < 20 * 64 * lines + 50_000
     assert "| 2 x 1 |" in finished.stdout

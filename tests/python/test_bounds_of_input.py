@@ -202,7 +202,8 @@ except polypod.PolypodError as error:
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of Linux")
 def test_a_panic_is_an_exception_of_polypod():
     """Threads that the machine does not give are a panic of the thread pool."""
-    # A stack of 2 GiB is beyond the limit, so the first thread fails and the memory for the report is still there.
+    # A stack of 2 GiB is beyond the limit, so the first thread fails and the memory for the report
+    # is still there.
     env = {**os.environ, "RUST_MIN_STACK": str(2 << 30)}
     command = [sys.executable, "-c", STARVED]
     result = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False, env=env)

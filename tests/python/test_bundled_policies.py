@@ -11,7 +11,8 @@ WALKS = {
     "legged": ["unitree_a1", "unitree_b1", "box_quadruped", "anymal_b_kinova", "phantomx"],
     "quadruped": ["unitree_go1", "unitree_b2", "solo12", "box_quadruped"],
 }
-"""Robots of each; of `legged` on four and six legs, with eight to 18 joints, of `quadruped` of 2.5 to 75 kg."""
+"""Robots of each; of `legged` on four and six legs, with eight to 18 joints, of `quadruped` of 2.5
+to 75 kg."""
 FALLS_SHORT = {
     "flat": ("spot", {"drift", "yaw drift"}),
     "legged": ("booster_t1", {"turn", "yaw error"}),

@@ -1,6 +1,7 @@
 """The metadata of an exported file define its actions and observations: a loop needs nothing else.
 
-`targets_of` and `observation_of` are such a loop. They know the file's metadata and what a robot measures.
+`targets_of` and `observation_of` are such a loop. They know the file's metadata and what a robot
+measures.
 """
 
 import json

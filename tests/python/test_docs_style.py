@@ -20,7 +20,8 @@ MOST_BYTES = 3_000_000
 MOST_PROSE = 200
 """Lines of text of a page, without its tables and its code."""
 UNWRAPPED = re.compile(r"\||#|!\[|<!--|\[[^\]]+\]: ")
-"""How lines begin that cannot be wrapped: tables, headings, pictures, marks and addresses of links."""
+"""How lines begin that cannot be wrapped: tables, headings, pictures, marks and addresses of
+links."""
 
 
 def prose(page: str) -> list[tuple[int, str]]:

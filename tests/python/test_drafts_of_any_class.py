@@ -172,7 +172,8 @@ def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
             assert not ended.any()
     (holds, falls, reason), (holds_below, falls_below, reason_below) = stood
     assert (holds, reason) == (holds_below, reason_below)
-    # a body that balances falls or not by the last bit of its numbers, which are about another frame
+    # a body that balances falls or not by the last bit of its numbers, which are about another
+    # frame
     assert abs(falls - falls_below) <= 1
     assert env.state.base_pos[:, 2].max() < 0.3 * height
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-# the least that a task takes, rad/s; random actions turn joints faster: every state counts as broken
+# the least that a task takes, rad/s; random actions turn joints faster: every state counts as
+# broken
 BROKEN = ["terminations.illegal_state.max_joint_vel=1"]
 
 

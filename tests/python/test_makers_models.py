@@ -194,7 +194,8 @@ def test_a_mapped_model_equals_the_unmapped_one(tmp_path, a1):
     for name, numbers in plain.sensors().items():
         np.testing.assert_allclose(mapped.sensors()[name], numbers, rtol=0.0, atol=1e-9, err_msg=name)
     ours, theirs = plain.reference, mapped.reference
-    # MuJoCo softens constraints by what they move where all joints are at zero, and zero is elsewhere
+    # MuJoCo softens constraints by what they move where all joints are at zero, and zero is
+    # elsewhere
     theirs.model.dof_invweight0[theirs.v] = ours.model.dof_invweight0[ours.v]
     for body in range(ours.model.nbody):
         name = ours.model.body(body).name

@@ -55,7 +55,8 @@ def test_a_robot_below_an_empty_root_has_the_same_twin(origins):
     for twin in twins:
         twin.set_state(qpos)
     np.testing.assert_allclose(twins[0].mass_matrix(), twins[1].mass_matrix(), atol=1e-12)
-    # the frames of the file are where they were: the root is above the base by the inverse of the chain
+    # the frames of the file are where they were: the root is above the base by the inverse of the
+    # chain
     data, model = twins[1].data, twins[1].model
     top = model.body(names[0]).id
     expected = np.linalg.inv(functools.reduce(np.matmul, map(pose, origins)))

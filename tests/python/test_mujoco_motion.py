@@ -13,8 +13,9 @@ from polypod.accuracy.robot import load, names
 from polypod.accuracy.standing import FIRM, compare_drop, compare_standing
 
 CORE = ("anymal_b_kinova", "box_quadruped", "phantomx", "spot", "unitree_g1", "unitree_go2", "unitree_go2w")
-"""Robots of the core tier: a speed limit that binds, no abduction, six legs, dry friction, a waist that gives way, the
-usual quadruped, held wheels. The extended tier takes all robots of the library."""
+"""Robots of the core tier: a speed limit that binds, no abduction, six legs, dry friction, a waist
+that gives way, the usual quadruped, held wheels. The extended tier takes all robots of the
+library."""
 
 JUMPS = motion.jumps
 
@@ -23,7 +24,8 @@ JUMPS = motion.jumps
 def converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """The core tier takes fewer jumps, and twice the steps of the converged references.
 
-    MuJoCo's RK4 answers then differ in the fifth digit. The landings differ by less than a third of the bounds.
+    MuJoCo's RK4 answers then differ in the fifth digit. The landings differ by less than a third of
+    the bounds.
     """
     monkeypatch.setattr(motion, "CONVERGED", size(2.0, 1.0) * motion.CONVERGED)
     monkeypatch.setattr(standing, "CONVERGED", size(2.0, 1.0) * standing.CONVERGED)
@@ -61,7 +63,8 @@ def test_a_joint_at_its_speed_limit_turns_at_that_speed() -> None:
     target = robot.default_position + np.eye(robot.num_joints)[[joint]]
     ours = polypod_tracks(robot, target, motion.FINE)
     mujocos = mujoco_tracks(robot, target, motion.FINE, "implicitfast")
-    # `f32` rounds the angle of 4.7 rad by up to 8e-4 of a step's way; MuJoCo's rows give way a little
+    # `f32` rounds the angle of 4.7 rad by up to 8e-4 of a step's way; MuJoCo's rows give way a
+    # little
     for track, tolerance in ((ours, 8e-4), (mujocos, 5e-3)):
         speed = np.diff(track[0, 20:120, joint]) / motion.COARSE
         assert speed == pytest.approx(np.full(speed.shape, limit), rel=tolerance)
@@ -75,7 +78,8 @@ WHIP = (
     "-0.1582 0.1839 0.0717 -3.6725 1.6081 -0.5938 "
     "4.9563 -1.2143 -0.7896 -34.3731 -5.4181 -0.2919 -1.5497 -2.4518 -0.0123 0.8939 7.6482 12.4916",
 )
-"""qpos and qvel of an ANYmal B, a leg of which is about to whip through: the worst of an hour of random targets."""
+"""qpos and qvel of an ANYmal B, a leg of which is about to whip through: the worst of an hour of
+random targets."""
 
 
 @pytest.mark.parametrize(("dt", "least", "most"), [(0.005, 0.04, 0.07), (0.0005, 0.002, 0.006)])

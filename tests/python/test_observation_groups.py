@@ -78,7 +78,8 @@ def test_privileged_terms_are_what_the_state_says(make, actions):
     vertical = state.contact_forces[:, 2::3]
     stands = vertical > 1.0
     assert stands.any()
-    # the largest of the last three physics steps is no less than that of the last one, up to friction's share
+    # the largest of the last three physics steps is no less than that of the last one, up to
+    # friction's share
     assert (forces[stands] >= 0.9 * vertical[stands]).all()
 
 

@@ -214,7 +214,8 @@ def test_mass_scales_the_inertia_and_set_inertia_replaces_it():
 
 
 def test_com_and_inertia_are_in_the_frame_of_the_urdf():
-    # the upper arm's frame is turned against the base's; its URDF inertia is given in axes that are turned once more
+    # the upper arm's frame is turned against the base's; its URDF inertia is given in axes that are
+    # turned once more
     sim = simulation("arm", fixed_base=True, dtype="float64")
     sim.set_state([0.2, 0.7, -0.3])
     before = sim.mass_matrix()
@@ -344,8 +345,9 @@ def test_a_block_rests_slides_and_sticks_on_a_slope():
     sim.step(n=200)
     speed = sim.qvel[:, :3] @ [-np.cos(angle), 0, -np.sin(angle)]
     expected = [G * (np.sin(angle) - mu * np.cos(angle)) * sim.time for mu in (0.0, 0.2)]
-    # contacts give way by 1e-3 / m to the impulse of a step, here on each of four corners: the ground has not yet
-    # stopped the last of the fall, nor have 8 sweeps shared the load among the corners but for a small residue
+    # contacts give way by 1e-3 / m to the impulse of a step, here on each of four corners: the
+    # ground has not yet stopped the last of the fall, nor have 8 sweeps shared the load among the
+    # corners but for a small residue
     sinking = 1e-3 * G * np.cos(angle) * sim.dt / 4
     np.testing.assert_allclose(speed[:2], expected, rtol=1e-6, atol=0.2 * sinking)
     assert abs(speed[2]) < 1e-6
@@ -370,7 +372,8 @@ def test_restitution():
 
 
 def test_a_biped_stands():
-    # with stiff legs the load can be shared among eight corners in many ways: more sweeps than usual to settle it
+    # with stiff legs the load can be shared among eight corners in many ways: more sweeps than
+    # usual to settle it
     sim = simulation("biped", 2, solver_iterations=32)
     sim.step(targets=0.0, kp=400.0, kd=10.0, n=600)
     assert sim.default_qpos[2] == pytest.approx(1.06)
@@ -405,7 +408,8 @@ def test_prismatic_joints_and_a_fixed_base():
     base_position, base_quaternion = (pose[:, 0] for pose in sim.link_pose())
     assert not base_position.any()
     np.testing.assert_array_equal(base_quaternion, [[1, 0, 0, 0]] * 2)
-    # the lift carries everything: its own acceleration is force over mass once the other joints hold still
+    # the lift carries everything: its own acceleration is force over mass once the other joints
+    # hold still
     sim.set_state([0, 0, 0], [0, 0, 0])
     qacc = sim.forward_dynamics(sim.inverse_dynamics([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(qacc, [[1, 0, 0]] * 2, atol=1e-12)

@@ -1,4 +1,4 @@
-"""`tools/style.py` finds the style that docs/style.md rules out, says where, and wraps wide comments."""
+"""`tools/style.py` finds breaches of docs/style.md, says where, and wraps wide comments."""
 
 import importlib.util
 import subprocess

@@ -47,7 +47,8 @@ def test_observation_terms(make, flat):
     env.reset(seed=2)
     still = np.zeros(env.action_space.shape, dtype=np.float32)
     seen = env.step(still)[0]
-    # gravity in base axes: the third row of the rotation that the quaternion stands for, turned round
+    # gravity in base axes: the third row of the rotation that the quaternion stands for, turned
+    # round
     w, x, y, z = env.state.base_quat.T
     down = -np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
     np.testing.assert_allclose(seen[:, 6:9], down, atol=1e-6)

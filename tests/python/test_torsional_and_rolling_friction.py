@@ -72,7 +72,8 @@ def test_a_spinning_body_slows_by_the_coefficient_times_its_weight(shape, tmp_pa
     assert 0.2 * rate < formula < 0.6 * rate
     # the first step, before there is a normal impulse, is all that is missing
     assert ours[5] == pytest.approx(formula, abs=2.0 * (rate - formula) * DT / seconds)
-    # MuJoCo's body still moves up and down by millimetres a second: its normal impulse is not quite its weight's
+    # MuJoCo's body still moves up and down by millimetres a second: its normal impulse is not quite
+    # its weight's
     assert theirs[5] == pytest.approx(formula, abs=0.01 * (rate - formula))
     (_, free), _ = run(shape, tmp_path, [0, 0, 0, 0, 0, rate], seconds, sliding=0.0)
     assert free[5] == pytest.approx(rate, rel=1e-4)
@@ -96,7 +97,8 @@ def test_a_rolling_body_slows_by_the_coefficient_over_its_radius(shape, torsiona
     assert 0.3 * speed < formula < 0.6 * speed
     assert ours[0] == pytest.approx(formula, abs=2.0 * rate * DT)
     assert ours[4] == pytest.approx(formula / RADIUS, abs=2.0 * rate * DT / RADIUS)
-    # the cone of MuJoCo shares the normal force with the friction that turns the wheel: a few per mille
+    # the cone of MuJoCo shares the normal force with the friction that turns the wheel: a few per
+    # mille
     assert theirs[0] == pytest.approx(formula, rel=0.01)
     # both are semi-implicit Euler's
     way = speed * seconds - 0.5 * rate * seconds**2

@@ -31,7 +31,8 @@ ADDED = {
 """Options that tests add where a tutorial leaves the default."""
 SMALL_SWEEP = {"seeds": "[1]", "num_envs": "16", "max_iterations": "1"}
 ELSEWHERE = ("torchrun", "--ray")
-"""Commands with these words start several processes: `test_workers.py` and `test_ray.py` have them."""
+"""Commands with these words start several processes: `test_workers.py` and `test_ray.py` have
+them."""
 
 
 def small(words):

@@ -70,7 +70,8 @@ struct Worst {
 const TASK: &str = "velocity_flat";
 
 impl Soak {
-    /// Fails when a state broke, a robot rested in the ground, a joint limit gave way, or energy came from nothing.
+    /// Fails when a state broke, a robot rested in the ground, a joint limit gave way, or energy
+    /// came from nothing.
     pub(super) fn run(self) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         let library = Library::new(Vec::new());
@@ -311,8 +312,8 @@ impl Energy {
     }
 }
 
-/// Work of the impulses that change velocities from `free` to `after` in a step that begins with `before`, all
-/// `[nv]`, J; `mass` is `[nv, nv]`.
+/// Work of the impulses that change velocities from `free` to `after` in a step that begins with
+/// `before`, all `[nv]`, J; `mass` is `[nv, nv]`.
 fn work(mass: &[f64], before: &[f64], after: &[f64], free: &[f64]) -> f64 {
     let mut work = 0.0;
     for (row, (v0, v1)) in mass.chunks(before.len()).zip(before.iter().zip(after)) {
@@ -322,7 +323,8 @@ fn work(mass: &[f64], before: &[f64], after: &[f64], free: &[f64]) -> f64 {
     work
 }
 
-/// Gives each env a corner of the robot's randomisation: the base's mass and centre of mass, and friction.
+/// Gives each env a corner of the robot's randomisation: the base's mass and centre of mass, and
+/// friction.
 fn set_extremes(sim: &mut Simulation, model: &MorphologyModel) -> anyhow::Result<()> {
     let base = &model.model.links[0];
     let ranges = &model.config.randomization;
