@@ -22,8 +22,8 @@ impl EnvOrigin {
     }
 }
 
-/// Gives every env its place: a tile whose type does not depend on the robot and whose level the env's stream draws, or its
-/// place on a square grid.
+/// Gives every env its place: a tile whose type does not depend on the robot and whose level the
+/// env's stream draws, or its place on a square grid.
 pub fn place_envs(
     ground: Res<Ground>,
     task: Res<CompiledTask>,

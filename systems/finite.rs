@@ -113,7 +113,8 @@ fn note_written(world: &mut World) {
     });
 }
 
-/// Names the systems of each set that write a component; the schedule is built and does not run yet.
+/// Names the systems of each set that write a component; the schedule is built and does not run
+/// yet.
 fn name_writers(world: &mut World) {
     let mut writers = std::mem::take(&mut *world.resource_mut::<Writers>());
     world.schedule_scope(ControlStep, |_, schedule| {

@@ -183,7 +183,8 @@ impl StateField {
     }
 }
 
-/// Writes one quantity of all robots, row-major `[num_envs, width]`. A broken state is written as zeros.
+/// Writes one quantity of all robots, row-major `[num_envs, width]`. A broken state is written as
+/// zeros.
 pub(crate) fn gather_state(world: &mut World, field: StateField, out: &mut [f32]) -> Result<(), Error> {
     faults::outcome(world.run_system_cached_with(gather, (field, out)))
 }

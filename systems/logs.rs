@@ -61,7 +61,8 @@ pub struct EpisodeStats {
     pub reward_per_s: f64,
     /// Distance of the base in an episode, m.
     pub distance: f64,
-    /// Level of difficulty of the tile on which the episode was, if the ground is generated terrain.
+    /// Level of difficulty of the tile on which the episode was, if the ground is generated
+    /// terrain.
     pub terrain_level: Option<f64>,
 }
 
@@ -180,7 +181,8 @@ impl RobotLog {
     }
 }
 
-/// Finished episodes of each morphology, twice: since the log was last taken, and since the statistics were cleared.
+/// Finished episodes of each morphology, twice: since the log was last taken, and since the
+/// statistics were cleared.
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Logs {
     recent: Vec<RobotLog>,

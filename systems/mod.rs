@@ -128,7 +128,8 @@ pub enum SetupSet {
 
 /// The sets of a control step, in this order. Nothing else orders systems across sets.
 ///
-/// When a system returns an error, the sets after its own are left out and [`Sim::step`](crate::Sim::step) returns the error.
+/// When a system returns an error, the sets after its own are left out and
+/// [`Sim::step`](crate::Sim::step) returns the error.
 #[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
 pub enum PipelineSet {
     /// Actions become joint targets.
@@ -176,13 +177,14 @@ pub enum ResetSet {
 #[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
 struct RowOrder;
 
-/// Whether the caller asked for the resets of the running schedule ([`ResetEnvs`]), or the pipeline did.
+/// Whether the caller asked for the resets of the running schedule ([`ResetEnvs`]), or the pipeline
+/// did.
 #[derive(Resource, Clone, Copy, Debug, Default)]
 pub struct ResetRequest(pub bool);
 
 plugin_group! {
-    /// A simulation of many envs. [`Sim::from_app`](crate::Sim::from_app) makes it of an app that has these plugins and
-    /// [`SimOptions`](crate::SimOptions) as a resource.
+    /// A simulation of many envs. [`Sim::from_app`](crate::Sim::from_app) makes it of an app that
+    /// has these plugins and [`SimOptions`](crate::SimOptions) as a resource.
     ///
     /// | plugin | what it does |
     /// |---|---|
@@ -285,7 +287,8 @@ impl Plugin for PipelinePlugin {
     }
 }
 
-/// Systems run one after the other; each spreads its rows over the [`Workers`](crate::workers::Workers) itself.
+/// Systems run one after the other; each spreads its rows over the
+/// [`Workers`](crate::workers::Workers) itself.
 fn schedule(label: impl ScheduleLabel) -> Schedule {
     let mut schedule = Schedule::new(label);
     schedule.set_executor(SingleThreadedExecutor::new());

@@ -12,7 +12,8 @@ use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::{Pool, Workers};
 use crate::world::Ground;
 
-/// Half the side of the square about the base's origin above whose highest ground a robot begins, m.
+/// Half the side of the square about the base's origin above whose highest ground a robot begins,
+/// m.
 const FOOTPRINT: f32 = 0.5;
 /// Distance below which a shape counts as placed, m: the default pose is, but for rounding.
 const TOLERANCE: f32 = 1e-4;
@@ -169,8 +170,9 @@ impl Posed<'_> {
         lowest
     }
 
-    /// Length by which some candidate's lowest point is less than `least` above the base's origin and the ground around it, m; `highest` is
-    /// the highest ground in the footprint about the base, which is `at` a place of the grid.
+    /// Length by which some candidate's lowest point is less than `least` above the base's origin
+    /// and the ground around it, m; `highest` is the highest ground in the footprint about the
+    /// base, which is `at` a place of the grid.
     #[inline(always)]
     fn missing_on(&self, grid: &HeightGrid, at: [f32; 2], highest: f32, least: f32) -> f32 {
         let mut missing = f32::NEG_INFINITY;

@@ -1,6 +1,7 @@
 //! Sampling of numbers for events, with ranges of the robots or of the task.
 //!
-//! Logarithm and exponential are the crate libm's, which is plain Rust: the same bits on every machine.
+//! Logarithm and exponential are the crate libm's, which is plain Rust: the same bits on every
+//! machine.
 
 use crate::components::EnvRng;
 use crate::config::{Distribution, Draw, Operation};
@@ -54,7 +55,8 @@ pub(super) enum Source<T> {
 /// The draws of several quantities from the task's parameters, if it has any.
 ///
 /// # Errors
-/// Parameters that the distribution cannot have, or an operation or distribution without any parameters.
+/// Parameters that the distribution cannot have, or an operation or distribution without any
+/// parameters.
 pub(super) fn of_task<const N: usize>(
     params: [Option<[f64; 2]>; N],
     operation: Option<Operation>,

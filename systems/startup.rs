@@ -17,7 +17,8 @@ use crate::options::Autoreset;
 use crate::variation::BodyScales;
 use crate::world::Ground;
 
-/// Gives every robot its material and applies the task's startup events, each env from its own stream.
+/// Gives every robot its material and applies the task's startup events, each env from its own
+/// stream.
 pub fn randomise_at_startup(
     morphologies: Res<Morphologies>,
     task: Res<CompiledTask>,
@@ -99,7 +100,8 @@ struct BaseMass {
     /// Whether the inertia is scaled with the mass. Default: yes.
     #[serde(default = "yes")]
     recompute_inertia: bool,
-    /// Range of factors on the base's mass in place of each robot's own offsets, kg. Default: the offsets.
+    /// Range of factors on the base's mass in place of each robot's own offsets, kg. Default: the
+    /// offsets.
     #[serde(default, deserialize_with = "values::optional_range_of::<BodyFactor, _, _>")]
     mass_scale_range: Option<[f64; 2]>,
 }
@@ -131,7 +133,8 @@ impl TryFrom<UncheckedGains> for ActuatorGains {
     }
 }
 
-/// Draws for armature, dry friction and viscous friction of each joint: the robots' own, or the task's.
+/// Draws for armature, dry friction and viscous friction of each joint: the robots' own, or the
+/// task's.
 #[derive(Deserialize)]
 #[serde(try_from = "UncheckedJoints")]
 struct JointParameters(Source<[Option<Draw>; 3]>);
@@ -168,7 +171,8 @@ struct MotorStrength {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TaskVariation {
-    /// Power to which the robots' own factors are raised: 1 as they are, 2 about twice as far from the URDF's body.
+    /// Power to which the robots' own factors are raised: 1 as they are, 2 about twice as far from
+    /// the URDF's body.
     #[serde(default = "one", deserialize_with = "values::number_of::<Power, _, _>")]
     range_power: f64,
     /// Factor on all lengths; the rest follows by dynamic similarity. Default: none.
@@ -189,7 +193,8 @@ fn one() -> f64 {
     1.0
 }
 
-/// All built-in events of a robot's body, under Isaac Lab's names where it has them; they happen in this order.
+/// All built-in events of a robot's body, under Isaac Lab's names where it has them; they happen in
+/// this order.
 pub(super) fn register(registry: &mut Registry) {
     registry.body_event(BODY_VARIATION, body_variation);
     registry.body_event(PHYSICS_MATERIAL, physics_material);

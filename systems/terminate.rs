@@ -107,7 +107,8 @@ struct ContactThreshold {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Tilt {
-    /// Angle between the base's z axis and the direction against gravity that ends the episode, rad.
+    /// Angle between the base's z axis and the direction against gravity that ends the episode,
+    /// rad.
     limit_angle: Angle,
 }
 
@@ -164,7 +165,8 @@ fn illegal_contact(p: &BodiesInContact, view: &RobotView, _: &Episode, _: u32) -
 
 fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
     let gravity = view.imu.projected_gravity;
-    // the angle of gravity from the base's downward axis, without an inverse cosine; without gravity there is no vertical
+    // the angle of gravity from the base's downward axis, without an inverse cosine; without
+    // gravity there is no vertical
     -gravity[2] < p.limit_angle.cos && gravity != [0.0; 3]
 }
 

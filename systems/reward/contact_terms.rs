@@ -1,6 +1,7 @@
 //! Reward terms on contacts and feet.
 //!
-//! Formulas: Isaac Lab's velocity-tracking tasks and its task with gait terms (BSD-3-Clause), names as there.
+//! Formulas: Isaac Lab's velocity-tracking tasks and its task with gait terms (BSD-3-Clause), names
+//! as there.
 
 use serde::Deserialize;
 

@@ -1,6 +1,7 @@
 //! Reward terms on gaits, for any number of feet.
 //!
-//! Formulas: Isaac Lab's locomotion tasks and Hetero-IsaacLab's humanoid task (BSD-3-Clause), names as there.
+//! Formulas: Isaac Lab's locomotion tasks and Hetero-IsaacLab's humanoid task (BSD-3-Clause), names
+//! as there.
 
 use serde::Deserialize;
 

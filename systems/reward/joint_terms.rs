@@ -17,7 +17,8 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Joints {
-    /// Patterns on canonical names, such as `*_KNEE`; `*` stands for any run of letters. Default: all joints.
+    /// Patterns on canonical names, such as `*_KNEE`; `*` stands for any run of letters. Default:
+    /// all joints.
     joints: Option<Vec<String>>,
     /// Their mean in place of their sum.
     #[serde(default)]
@@ -94,7 +95,8 @@ impl OnJoints {
     }
 }
 
-/// Key, problem and remedy of a pattern that matches the name of no joint that any robot could have.
+/// Key, problem and remedy of a pattern that matches the name of no joint that any robot could
+/// have.
 fn check_pattern(element: &str, pattern: &str) -> Result<(), (String, String, String)> {
     let slots = || {
         let of = |place: Place| Role::ALL.into_iter().map(move |role| Slot::new(place, role).to_string());

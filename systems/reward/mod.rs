@@ -28,7 +28,8 @@ impl Plugin for RewardPlugin {
     }
 }
 
-/// `reward = sum of weight * value * step_dt`, summed per term for the logs, as are the tracking errors.
+/// `reward = sum of weight * value * step_dt`, summed per term for the logs, as are the tracking
+/// errors.
 ///
 /// A robot computes only the terms of its own set. An env gets 0 if its state broke or if this step
 /// does nothing but reset it.

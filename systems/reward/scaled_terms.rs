@@ -1,7 +1,8 @@
 //! Reward terms on joints in units of the body, so that one weight serves bodies of 2 and of 90 kg.
 //!
-//! Units are those of dynamic similarity (Alexander and Jayes, 1983): a torque counts as a share of the weight times the height of
-//! the base in the default pose, an acceleration as a share of gravity over that height. All are means over the joints.
+//! Units are those of dynamic similarity (Alexander and Jayes, 1983): a torque counts as a share of
+//! the weight times the height of the base in the default pose, an acceleration as a share of
+//! gravity over that height. All are means over the joints.
 
 use super::sum_of_squares;
 use crate::systems::terms::{NoParams, Registry};

@@ -1,4 +1,5 @@
-//! Numbers of the term `joint_descriptors` in units of the body: one network for bodies of 2 and of 90 kg.
+//! Numbers of the term `joint_descriptors` in units of the body: one network for bodies of 2 and of
+//! 90 kg.
 
 use serde::Deserialize;
 

@@ -1,7 +1,9 @@
-//! Terms: the named pieces of which a task's rewards, observations, terminations and events are made.
+//! Terms: the named pieces of which a task's rewards, observations, terminations and events are
+//! made.
 //!
-//! A term is one function and one line in a registry; its parameters come from the task's TOML and are checked when the
-//! task is compiled for the robots of a run. A term that no robot of the run uses is never made.
+//! A term is one function and one line in a registry; its parameters come from the task's TOML and
+//! are checked when the task is compiled for the robots of a run. A term that no robot of the run
+//! uses is never made.
 
 mod builtin;
 mod compile;

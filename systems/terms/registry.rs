@@ -34,7 +34,8 @@ pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send +
 pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, &BatchSlots) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
-/// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the app.
+/// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the
+/// app.
 #[derive(Resource, Default)]
 pub struct Registry {
     pub(super) rewards: BTreeMap<&'static str, RewardBuilder>,
@@ -66,7 +67,8 @@ pub(super) struct BuiltObservation {
 type Events<T> = BTreeMap<&'static str, (usize, Builder<T>)>;
 
 impl Registry {
-    /// A reward term: its unweighted value per second. An `#[inline(always)]` function is compiled for each instruction set.
+    /// A reward term: its unweighted value per second. An `#[inline(always)]` function is compiled
+    /// for each instruction set.
     pub fn reward<P>(&mut self, name: &'static str, f: impl Fn(&P, &RobotView) -> f32 + Copy + Send + Sync + 'static)
     where
         P: DeserializeOwned + Send + Sync + 'static,
@@ -103,8 +105,9 @@ impl Registry {
         self.observation_of(name, move |_| Ok(size), spec, |_| 0.0, f);
     }
 
-    /// An observation term of `count` numbers for each joint. It is handed the robot's own joints, in the order of
-    /// [`MorphologyModel::slots`](crate::morphology::MorphologyModel::slots): all joints' first number, then their next.
+    /// An observation term of `count` numbers for each joint. It is handed the robot's own joints,
+    /// in the order of [`MorphologyModel::slots`](crate::morphology::MorphologyModel::slots): all
+    /// joints' first number, then their next.
     pub fn joint_observation<P>(
         &mut self,
         name: &'static str,
@@ -117,7 +120,8 @@ impl Registry {
         self.observation_sized(name, move |_, slots| Ok(count * slots.joints.len()), spec, |_| 0.0, f);
     }
 
-    /// An observation term of a number for each foot. It is handed the robot's own feet, in the order of its legs.
+    /// An observation term of a number for each foot. It is handed the robot's own feet, in the
+    /// order of its legs.
     pub fn foot_observation<P>(&mut self, name: &'static str, spec: TermSpec, f: fn(&P, &RobotView, &mut [f32]))
     where
         P: DeserializeOwned + Send + Sync + 'static,
@@ -125,9 +129,11 @@ impl Registry {
         self.observation_sized(name, |_, slots| Ok(slots.feet.len()), spec, |_| 0.0, f);
     }
 
-    /// An observation term whose size depends on the task, and whose parameters hold a number that it takes off its source.
+    /// An observation term whose size depends on the task, and whose parameters hold a number that
+    /// it takes off its source.
     ///
-    /// `size` gives problem and remedy where the task does not fit; `offset` reads the number that is taken off.
+    /// `size` gives problem and remedy where the task does not fit; `offset` reads the number that
+    /// is taken off.
     pub fn observation_of<P>(
         &mut self,
         name: &'static str,
@@ -183,8 +189,8 @@ impl Registry {
         self.observations.iter().map(|(name, registered)| (*name, &registered.spec))
     }
 
-    /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last argument is the
-    /// length of a full episode in control steps.
+    /// A termination term; `time_out` ones truncate an episode, others end it as failed. The last
+    /// argument is the length of a full episode in control steps.
     pub fn termination<P>(&mut self, name: &'static str, time_out: bool, f: fn(&P, &RobotView, &Episode, u32) -> bool)
     where
         P: DeserializeOwned + Send + Sync + 'static,
@@ -196,8 +202,8 @@ impl Registry {
         self.terminations.insert(name, (time_out, build));
     }
 
-    /// An event that changes a robot's body: once with `mode = "startup"`, at each reset with `mode = "reset"`. Events
-    /// happen in the order in which they are registered.
+    /// An event that changes a robot's body: once with `mode = "startup"`, at each reset with `mode
+    /// = "reset"`. Events happen in the order in which they are registered.
     pub fn body_event<P>(&mut self, name: &'static str, f: fn(&P, &mut NewBody, &mut EnvRng))
     where
         P: DeserializeOwned + Send + Sync + 'static,

@@ -22,11 +22,12 @@ pub enum TermKind {
     Pseudovector,
     /// Forward and left velocity and yaw rate: the last two change their signs.
     PlanarVelocity,
-    /// Numbers of each joint, in the batch's columns: all joints' first number, then their next. Joints change sides, and some of
-    /// them their signs. A robot's own numbers are written and observed; columns of joints that it lacks are zero.
+    /// Numbers of each joint, in the batch's columns: all joints' first number, then their next.
+    /// Joints change sides, and some of them their signs. A robot's own numbers are written and
+    /// observed; columns of joints that it lacks are zero.
     PerJoint,
-    /// A number of each foot, in the batch's columns: feet change sides. A robot's own numbers are written and observed; columns of
-    /// feet that it lacks are zero.
+    /// A number of each foot, in the batch's columns: feet change sides. A robot's own numbers are
+    /// written and observed; columns of feet that it lacks are zero.
     PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
@@ -46,7 +47,8 @@ pub enum TermSource {
     /// Description of the robot's body: numbers that do not change, which a graph folded for a
     /// robot holds.
     RobotConstant,
-    /// Velocity of the base's centre of mass in base axes, from that of the base link's origin and the angular velocity.
+    /// Velocity of the base's centre of mass in base axes, from that of the base link's origin and
+    /// the angular velocity.
     CenterOfMassVelocity,
     /// Angular velocity of the base, base axes.
     BaseAngularVelocity,
@@ -90,14 +92,16 @@ impl TermSource {
 pub enum Per {
     /// The whole body.
     Body,
-    /// The whole body: a distance between front and hind legs. A leg stands half of it ahead of the middle or behind it.
+    /// The whole body: a distance between front and hind legs. A leg stands half of it ahead of the
+    /// middle or behind it.
     Length,
     /// The whole body: a distance between left and right legs. A leg stands half of it from the
     /// middle.
     Width,
     /// A role of joints: all numbers of the first role, then those of the next.
     Role,
-    /// A joint of a quadruped: the first number of all joints in canonical order, then the next number of all joints.
+    /// A joint of a quadruped: the first number of all joints in canonical order, then the next
+    /// number of all joints.
     Joint,
 }
 
@@ -138,12 +142,13 @@ pub struct TermSpec {
     pub description: &'static str,
     /// Source of the term on a robot.
     pub source: TermSource,
-    /// Typical magnitude of its numbers, in `units`: networks of joints divide by it where nothing else normalises.
+    /// Typical magnitude of its numbers, in `units`: networks of joints divide by it where nothing
+    /// else normalises.
     pub magnitude: f32,
     /// Blocks of its numbers, in order, for the kind [`TermKind::Body`]; empty for the others.
     pub blocks: &'static [Block],
-    /// Signs that the numbers of one joint take in a mirror on top of the joint's own, for the kind [`TermKind::PerJoint`]; empty
-    /// where each takes the joint's own sign.
+    /// Signs that the numbers of one joint take in a mirror on top of the joint's own, for the kind
+    /// [`TermKind::PerJoint`]; empty where each takes the joint's own sign.
     pub joint_mirror: &'static [JointMirror],
 }
 
