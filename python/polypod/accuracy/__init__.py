@@ -1,7 +1,7 @@
 """polypod's physics held against MuJoCo's, on the same URDFs.
 
-Each comparison returns a plain dataclass; the tests assert bounds on it and `polypod accuracy` writes it into the
-documentation. It needs the `bench` extra.
+Each comparison returns a plain dataclass; the tests assert bounds on it and `polypod accuracy`
+writes it into the documentation. It needs the `bench` extra.
 """
 
 from polypod.accuracy.engines import Engine, Engines, compare_engines

@@ -1,7 +1,7 @@
 """Largest deviations that `polypod accuracy` accepts, each with its reason.
 
-The tests assert these bounds for every robot, README.md and docs/accuracy.md show them, and the command fails where a
-figure exceeds one.
+The tests assert these bounds for every robot, README.md and docs/accuracy.md show them, and the
+command fails where a figure exceeds one.
 """
 
 import dataclasses

@@ -50,13 +50,16 @@ class Engine:
     frictionless_torque: Array
     """Torques of the actuators then, without dry friction in the joints, N m."""
     response_max: float
-    """Largest deviation of a joint from MuJoCo's converged answer to a jump of a target by 0.1 rad, in 1 s, rad."""
+    """Largest deviation of a joint from MuJoCo's converged answer to a jump of a target by 0.1 rad,
+    in 1 s, rad."""
     response_rms: float
     """Root of the mean square of these deviations, over all jumps, joints and times, rad."""
     drift: float
-    """Largest distance of a link's origin from where base pose and joint positions put it, in the 10 s, m."""
+    """Largest distance of a link's origin from where base pose and joint positions put it, in the
+    10 s, m."""
     largest_step: float
-    """Largest of `STEPS` at which the robot stands for 2 s, as at all smaller ones, s; 0: at none."""
+    """Largest of `STEPS` at which the robot stands for 2 s, as at all smaller ones, s; 0: at
+    none."""
     steps_per_second: float
     """Physics steps of an env in a second of one core's time, median of several timings."""
 
@@ -73,7 +76,8 @@ class Engines:
     def torque_difference(self) -> float:
         """Largest difference of the engines' torques on the standing robot, over the largest one.
 
-        A joint at rest may be held by any torque within its dry friction: what is compared are robots without it.
+        A joint at rest may be held by any torque within its dry friction: what is compared are
+        robots without it.
         """
         return _apart(self.articulated.frictionless_torque, self.avian.frictionless_torque)
 

@@ -1,15 +1,17 @@
 """Limits of effort, position and speed in MuJoCo, as polypod has them.
 
-- **Effort.** Each actuator's range follows from the state at the beginning of a step: effort limits, their tables over
-  the joint angle, torque-speed lines of DC motors.
-- **Position and speed.** MuJoCo's position limits are springs, and it has no limit of a joint's speed. polypod's are
-  bounds of the velocity at the end of the step: not faster than the speed limit, and not past the position limit. Both
-  become MuJoCo's own rows of joint limits. `mj_referenceConstraint` computes the acceleration that a row asks for from
-  its spring; here it is replaced by the one that leads to the bound. MuJoCo then solves them together with contacts and
+- **Effort.** Each actuator's range follows from the state at the beginning of a step: effort
+  limits, their tables over the joint angle, torque-speed lines of DC motors.
+- **Position and speed.** MuJoCo's position limits are springs, and it has no limit of a joint's
+  speed. polypod's are bounds of the velocity at the end of the step: not faster than the speed
+  limit, and not past the position limit. Both become MuJoCo's own rows of joint limits.
+  `mj_referenceConstraint` computes the acceleration that a row asks for from its spring; here it is
+  replaced by the one that leads to the bound. MuJoCo then solves them together with contacts and
   dry friction.
 
-MuJoCo computes the rows within its steps of `RK4`. Where a joint is near a limit, such a step is made as ten of
-`implicitfast`: the motion has a kink at the bound, which a method of fourth order follows no better.
+MuJoCo computes the rows within its steps of `RK4`. Where a joint is near a limit, such a step is
+made as ten of `implicitfast`: the motion has a kink at the bound, which a method of fourth order
+follows no better.
 """
 
 import math
@@ -22,9 +24,11 @@ import numpy.typing as npt
 from polypod.accuracy.robot import Actuators, Array
 
 SPARE_SPEED = 20.0
-"""Speed that a joint may gain in a step without passing its position limit unnoticed, rad/s or m/s."""
+"""Speed that a joint may gain in a step without passing its position limit unnoticed, rad/s or
+m/s."""
 SPARE_ACCELERATION = 1000.0
-"""Largest acceleration of a joint by motors and gravity, rad/s^2 or m/s^2. A contact may give it more."""
+"""Largest acceleration of a joint by motors and gravity, rad/s^2 or m/s^2. A contact may give it
+more."""
 SUBSTEPS = 10
 """Steps of `implicitfast` in place of one of `RK4`."""
 EVERYWHERE = 1e9
@@ -98,7 +102,8 @@ class Limits:
         # the row's coordinate is the distance from the limit
         least = -np.minimum(data.efc_pos[rows] / step, self._speed_limit[joints])
         change = least - data.efc_vel[rows]
-        # `implicitfast` multiplies accelerations by M / (M + step D) after the constraints are solved
+        # `implicitfast` multiplies accelerations by M / (M + step D) after the constraints are
+        # solved
         dofs = model.jnt_dofadr[joints]
         units = np.zeros((len(rows), model.nv))
         units[np.arange(len(rows)), dofs] = 1.0

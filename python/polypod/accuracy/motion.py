@@ -11,7 +11,8 @@ from polypod.accuracy.robot import Array, Robot
 AMPLITUDE = 0.1
 """Size of the jump of a joint's target, rad."""
 HELD = 0.5
-"""Share of the gains' stiffness that gravity has to leave, in every direction, for a pose to count as held."""
+"""Share of the gains' stiffness that gravity has to leave, in every direction, for a pose to count
+as held."""
 DURATION = 1.0
 """Length of a response, s."""
 FINE, COARSE = 0.0005, 0.005
@@ -24,13 +25,15 @@ CONVERGED = 0.00025
 class StepResponse:
     """Worst deviation from the converged answer over all joints, times and jumps, rad.
 
-    The base is fixed; the robot starts in its default pose at rest and one joint's target jumps by 0.1 rad. The
-    converged answer is MuJoCo's with RK4 at 0.25 ms. Both have the limits of effort, speed and position.
+    The base is fixed; the robot starts in its default pose at rest and one joint's target jumps by
+    0.1 rad. The converged answer is MuJoCo's with RK4 at 0.25 ms. Both have the limits of effort,
+    speed and position.
     """
 
     robot: str
     gravity: bool
-    """Whether gravity acts: where the gains hold the robot up. Elsewhere it topples like a pendulum on its head."""
+    """Whether gravity acts: where the gains hold the robot up. Elsewhere it topples like a pendulum
+    on its head."""
     fine: float
     """polypod at 0.5 ms."""
     coarse: float

@@ -35,7 +35,8 @@ BEGIN, END = documents.marks(MARK)
 SLIDES = ((0.2, 1.0, 0.0), (0.5, 2.0, 0.0), (0.5, 2.0, 0.6), (0.8, 1.0, 0.0), (1.0, 3.0, math.pi / 4))
 """Friction, speed (m/s) and direction (rad) of the pushed blocks."""
 SLOPES = ((0.3, 30.0), (0.5, 20.0), (0.5, 26.0), (0.5, 27.2), (0.8, 20.0), (0.8, 38.0), (0.8, 39.3), (0.8, 45.0))
-"""Friction and angle (degrees) of the blocks on slopes; atan(0.5) is 26.57 and atan(0.8) 38.66 degrees."""
+"""Friction and angle (degrees) of the blocks on slopes; atan(0.5) is 26.57 and atan(0.8) 38.66
+degrees."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -34,8 +34,9 @@ SLOPE_FINE = 0.002
 REST_TIME = 10.0
 """During which nothing may creep, s."""
 FIRM = 4.0
-"""Factor on stiffness and damping that makes legs firm: on the gains that policies are trained with, some robots land
-in a deep crouch, and fall over when they stand still on a slope of 20 degrees, in MuJoCo as well."""
+"""Factor on stiffness and damping that makes legs firm: on the gains that policies are trained
+with, some robots land in a deep crouch, and fall over when they stand still on a slope of 20
+degrees, in MuJoCo as well."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,9 +45,10 @@ class Drop:
 
     Both simulators at the same step.
 
-    Joints have no speed limits here. A landing drives legs into them, and the impulse of a rigid limit between rigid
-    contacts depends on how stiff the contacts are. Step responses compare the limits. polypod at 5 ms is the robot of
-    the tasks, with its limits: within such a step a motor at its limit of effort brings light joints to 100 rad/s.
+    Joints have no speed limits here. A landing drives legs into them, and the impulse of a rigid
+    limit between rigid contacts depends on how stiff the contacts are. Step responses compare the
+    limits. polypod at 5 ms is the robot of the tasks, with its limits: within such a step a motor
+    at its limit of effort brings light joints to 100 rad/s.
     """
 
     robot: str

@@ -16,8 +16,9 @@ NUM_STATES = 200
 class StaticsResult:
     """Worst relative error of each quantity over all states.
 
-    The relative error of a vector or matrix is the largest absolute difference between entries over the largest
-    absolute entry of MuJoCo's, in each state by itself. A force or acceleration mixes units, as in both simulators.
+    The relative error of a vector or matrix is the largest absolute difference between entries over
+    the largest absolute entry of MuJoCo's, in each state by itself. A force or acceleration mixes
+    units, as in both simulators.
     """
 
     robot: str
@@ -31,7 +32,8 @@ class StaticsResult:
     mass_matrix: float
     bias_force: float
     forward_dynamics: float
-    """Error of qacc under random torques, without damping, friction and joint limits; over the state's largest qacc."""
+    """Error of qacc under random torques, without damping, friction and joint limits; over the
+    state's largest qacc."""
     inverse_dynamics: float
     """Error of the forces that MuJoCo's qacc needs."""
 
@@ -57,8 +59,9 @@ def relative_error(value: Array, reference: Array) -> float:
 def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dtype: str = "float32") -> StaticsResult:
     """Compares a robot of the library at random states.
 
-    Base: position within 1 m of the origin, uniform orientation, up to 1 m/s and 3 rad/s along each axis. Joints:
-    uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to the effort limit.
+    Base: position within 1 m of the origin, uniform orientation, up to 1 m/s and 3 rad/s along each
+    axis. Joints: uniform within their ranges (at most a half turn), up to 5 rad/s. Torques: up to
+    the effort limit.
     """
     rng = np.random.default_rng(seed)
     sim = polypod.Simulation(robot.source, states, ground=None, dtype=dtype, self_collision=False, threads=1)

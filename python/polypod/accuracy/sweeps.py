@@ -26,7 +26,8 @@ AMPLITUDE = 0.5
 ENVS = 1024
 """Robots that move at a time: few of them make most of the error."""
 SETTLE, MOMENTS, EVERY = 20, 10, 4
-"""Control steps before the first moment; moments that are compared; control steps from one to the next."""
+"""Control steps before the first moment; moments that are compared; control steps from one to the
+next."""
 
 
 @dataclasses.dataclass(frozen=True)
