@@ -16,11 +16,12 @@ _PIECE = 1 << 20
 def unpack(archive: Path, folder: Path) -> None:
     """Unpacks the regular files of a zip file into a folder.
 
-    Names stay below the folder. The sizes that count are those of what is unpacked, not what the archive states.
+    Names stay below the folder. The sizes that count are those of what is unpacked, not what the
+    archive states.
 
     Raises:
-        ConfigError: for what is no zip file, is encrypted or damaged, for links and names that lead elsewhere, and for
-            more than `MOST_FILES` files or `MOST_BYTES`.
+        ConfigError: for what is no zip file, is encrypted or damaged, for links and names that lead
+            elsewhere, and for more than `MOST_FILES` files or `MOST_BYTES`.
     """
     try:
         with zipfile.ZipFile(archive) as opened:

@@ -130,7 +130,10 @@ def _kind(path: Path) -> Kind | None:
 
 
 def _files(folder: Path, origin: str) -> list[Path]:
-    """Files of a folder and `DEEP` folders below, links to folders not followed. Raises ConfigError for too many."""
+    """Files of a folder and `DEEP` folders below, links to folders not followed.
+
+    Raises ConfigError for too many.
+    """
     found: list[Path] = []
     seen = 0
     for above, folders, names in os.walk(folder):

@@ -1,9 +1,10 @@
 """Expands one xacro file of a stranger, in a process that does nothing else.
 
-It reads a request from its standard input and writes the expanded text to its standard output. The package `xacro`
-evaluates the expressions of a file with Python's `eval`, behind a filter of names that does not hold. Here an
-interpreter of arithmetic, comparisons, indices and a list of harmless functions takes its place. The process has no
-environment, writes no files, and its memory and time are bounded. Files are read in the folders of the request alone.
+It reads a request from its standard input and writes the expanded text to its standard output. The
+package `xacro` evaluates the expressions of a file with Python's `eval`, behind a filter of names
+that does not hold. Here an interpreter of arithmetic, comparisons, indices and a list of harmless
+functions takes its place. The process has no environment, writes no files, and its memory and time
+are bounded. Files are read in the folders of the request alone.
 
 Nothing of polypod is imported: the file is run by its path.
 """
