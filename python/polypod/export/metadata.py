@@ -1,8 +1,9 @@
 """Metadata of an exported ONNX file: all that a robot's loop needs, so that it reads no other file.
 
-The keys `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default_joint_pos`, `action_scale`,
-`observation_names` and `command_names` are those of mjlab's exporter (mjlab, `rl/exporter_utils.py`, Apache-2.0); the
-others are polypod's. Lists are written with commas between, numbers so that float32 is read back exactly.
+The keys `run_path`, `joint_names`, `joint_stiffness`, `joint_damping`, `default_joint_pos`,
+`action_scale`, `observation_names` and `command_names` are those of mjlab's exporter (mjlab,
+`rl/exporter_utils.py`, Apache-2.0); the others are polypod's. Lists are written with commas
+between, numbers so that float32 is read back exactly.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,9 +21,9 @@ _ELEMENTS = {"vector": ("x", "y", "z"), "pseudovector": ("x", "y", "z"), "planar
 def of_observation(terms: Sequence[Term], action_names: Sequence[str], run_path: str, step_dt: float) -> dict[str, str]:
     """Entries for all robots: the columns of the observation and of the action.
 
-    `observation_clips` holds `low:high` per term, or nothing where it has no limits; `observation_offsets` is
-    subtracted first, `observation_scales` multiplies last. `observation_columns` and `action_names` have a name per
-    number.
+    `observation_clips` holds `low:high` per term, or nothing where it has no limits;
+    `observation_offsets` is subtracted first, `observation_scales` multiplies last.
+    `observation_columns` and `action_names` have a name per number.
     """
     treatments = [term.treatment for term in terms]
     return {
@@ -48,9 +49,9 @@ def of_robot(robot: RobotInterface) -> dict[str, str]:
 
     Gains (N m/rad, N m s/rad), pose (rad), limits (rad, N m).
 
-    The target of joint j of `action_joint_names` is `default_joint_pos[j] + action_scale[j] * actions[c]` with c of
-    `action_columns`; all other targets are the default pose. `action_scale` has the joint's sign, and so have the
-    numbers of the joint in the observation (`joint_signs`).
+    The target of joint j of `action_joint_names` is `default_joint_pos[j] + action_scale[j] *
+    actions[c]` with c of `action_columns`; all other targets are the default pose. `action_scale`
+    has the joint's sign, and so have the numbers of the joint in the observation (`joint_signs`).
     """
     info = robot.info
     names = [robot.joint_names[joint] for joint in robot.joint_of_slot]
@@ -83,8 +84,8 @@ def of_robot(robot: RobotInterface) -> dict[str, str]:
 def observation_columns(terms: Sequence[Term], action_names: Sequence[str]) -> list[str]:
     """A name per number of the observation, such as `joint_pos_rel.LF_HAA`.
 
-    Numbers of a term that remembers end in the control step that they are of: `[-1]` is the one before the present one,
-    `[0]`.
+    Numbers of a term that remembers end in the control step that they are of: `[-1]` is the one
+    before the present one, `[0]`.
     """
     columns = []
     for term in terms:

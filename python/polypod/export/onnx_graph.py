@@ -1,7 +1,8 @@
 """The exported graphs as ONNX models.
 
-They are a few dozen nodes at most, written down here: torch's exporter takes a minute for them and leaves a graph that
-depends on its version. `checkpoint.export_checkpoint` compares every graph with torch before it is done.
+They are a few dozen nodes at most, written down here: torch's exporter takes a minute for them and
+leaves a graph that depends on its version. `checkpoint.export_checkpoint` compares every graph with
+torch before it is done.
 """
 
 import functools
@@ -321,8 +322,8 @@ def _add_recurrent_layers(graph: Graph, network: RNNModel, source: str) -> str:
     rnn: Any = network.rnn.rnn
     graph.states |= states.of_network(network)
     is_lstm = isinstance(rnn, torch.nn.LSTM)
-    # torch has the gates of an LSTM as input, forget, cell, output, and ONNX as input, output, forget, cell; those of a
-    # GRU are reset, update, new, and update, reset, new
+    # torch has the gates of an LSTM as input, forget, cell, output, and ONNX as input, output,
+    # forget, cell; those of a GRU are reset, update, new, and update, reset, new
     order = [0, 3, 1, 2] if is_lstm else [1, 0, 2]
 
     def gates(name: str) -> npt.NDArray[np.float32]:

@@ -1,7 +1,7 @@
 """Formulas of exported graphs: one for each source that a term may state.
 
-The sources are those of `TermSource` in Rust, see `VecSim.observation_terms`. A formula is written once; it computes
-with torch's tensors, and it adds nodes to an ONNX graph.
+The sources are those of `TermSource` in Rust, see `VecSim.observation_terms`. A formula is written
+once; it computes with torch's tensors, and it adds nodes to an ONNX graph.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -72,7 +72,8 @@ def check(term: Term, given: Mapping[str, str]) -> None:
 
     Args:
         term: the term.
-        given: inputs of other terms, with their meanings; no term that is measured may have the name of one.
+        given: inputs of other terms, with their meanings; no term that is measured may have the
+            name of one.
 
     Raises:
         ConfigError: for a source without a formula, and for a name that is an input's.

@@ -1,10 +1,10 @@
 """States of an exported graph from one control step to the next: tensors that it takes and returns.
 
-Inputs of states end in `_in`, and the output that is fed back has the same name with `_out`. All are zero when an
-episode begins. A recurrent network has `h_in` and, with LSTM layers, `c_in`, each [layers, batch, units], as in
-rsl_rl's own exports. A graph that is folded for a robot has `history_in`, [batch, 1 + n], where terms of the
-observation remember past control steps: its first number tells whether the episode has begun, the others are the terms'
-past values.
+Inputs of states end in `_in`, and the output that is fed back has the same name with `_out`. All
+are zero when an episode begins. A recurrent network has `h_in` and, with LSTM layers, `c_in`, each
+[layers, batch, units], as in rsl_rl's own exports. A graph that is folded for a robot has
+`history_in`, [batch, 1 + n], where terms of the observation remember past control steps: its first
+number tells whether the episode has begun, the others are the terms' past values.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,7 +19,8 @@ HISTORY = "history_in"
 """State of a folded graph whose observation remembers."""
 
 Shape = tuple[int, ...]
-"""Sizes of a tensor, the batch left out: (size,) is [batch, size], (layers, size) is [layers, batch, size]."""
+"""Sizes of a tensor, the batch left out: (size,) is [batch, size], (layers, size) is [layers,
+batch, size]."""
 
 MEANINGS = {
     HISTORY: "1 once the episode has begun, then the past values of the terms that remember; zeros at first",

@@ -16,7 +16,8 @@ from polypod.observation import Treatment
 class RobotPolicy(torch.nn.Module):
     """A policy folded for one robot.
 
-    From the inputs of `RobotInterface.inputs`, then the states, to joint targets, action and the next states.
+    From the inputs of `RobotInterface.inputs`, then the states, to joint targets, action and the
+    next states.
     """
 
     lever: torch.Tensor
