@@ -1,7 +1,7 @@
 """The exported policy on the same robots in MuJoCo, compared with polypod under the same commands.
 
-A policy that walks in a second simulator has not learned the first one's mistakes. `polypod sim2sim` runs it; it needs
-the `export` and `bench` extras.
+A policy that walks in a second simulator has not learned the first one's mistakes. `polypod
+sim2sim` runs it; it needs the `export` and `bench` extras.
 """
 
 from polypod.sim2sim.commands import Commands

@@ -2,12 +2,14 @@
 
 From its sensors through the exported policy.
 
-Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and terminations are
-computed here from MuJoCo's state. The model comes from `polypod.sim2sim.twin` or from `polypod.sim2sim.maker`.
+Nothing of polypod's simulator is used but its description of the robot. Sensors, actuators and
+terminations are computed here from MuJoCo's state. The model comes from `polypod.sim2sim.twin` or
+from `polypod.sim2sim.maker`.
 
 - Delays and the limits of effort of the policy's actuators (the torque-speed line of DC motors,
   tables over the joint angle) are applied here, in every physics step.
-- Where a network gives the torque, it is evaluated as polypod does it, at the task's physics step, and limited here.
+- Where a network gives the torque, it is evaluated as polypod does it, at the task's physics step,
+  and limited here.
 """
 
 import dataclasses
@@ -24,7 +26,8 @@ from polypod.export.robot import RobotInterface
 from polypod.sim2sim.commands import Array, heading_of
 
 FALL_FORCE = 1.0
-"""Normal force on a shape of the base from which a robot has fallen, N: the task's own threshold."""
+"""Normal force on a shape of the base from which a robot has fallen, N: the task's own
+threshold."""
 
 
 Floats = npt.NDArray[np.float32]
@@ -221,7 +224,8 @@ class Driven:
     def base_height(self) -> Array:
         """[envs], of the base's origin above the ground below it, m.
 
-        Where the task has a height scanner: above the mean of the ground below its rays, as `State.base_height`.
+        Where the task has a height scanner: above the mean of the ground below its rays, as
+        `State.base_height`.
         """
         if len(self.interface.scan_points):
             return self.height_scan().mean(axis=1)

@@ -2,13 +2,16 @@
 
 Masses, contacts, joints and actuators are the model's.
 
-The model stays as its file says, but for what is needed to stand on the ground and to follow the policy:
+The model stays as its file says, but for what is needed to stand on the ground and to follow the
+policy:
 
-- A base without a free joint gets one; a world without ground gets a plane, with MuJoCo's default friction.
+- A base without a free joint gets one; a world without ground gets a plane, with MuJoCo's default
+  friction.
 - A joint that the policy does not drive is held at its position in the first keyframe, or at zero,
   unless a spring, an equality or an actuator for positions holds it already.
-- An actuator for positions gets the policy's targets. A motor gets the torque of the policy's gains, within the motor's
-  limits. A joint without an actuator gets the policy's. By choice all joints get the policy's.
+- An actuator for positions gets the policy's targets. A motor gets the torque of the policy's
+  gains, within the motor's limits. A joint without an actuator gets the policy's. By choice all
+  joints get the policy's.
 - Contacts stay, or are made as stiff as those of polypod's twin, or slide alone (`condim` 3).
 """
 
@@ -51,9 +54,11 @@ class Choices:
     """How a model is played."""
 
     actuators: Actuation = "model"
-    """`model`: its own; `policy`: the policy's gains, limits and delays; `motors`: with the rotors' inertia, too."""
+    """`model`: its own; `policy`: the policy's gains, limits and delays; `motors`: with the rotors'
+    inertia, too."""
     contact: Contacts = "asis"
-    """`asis`: its own; `stiff`: as stiff as the step allows; `condim3`: its own without torsional and rolling friction.
+    """`asis`: its own; `stiff`: as stiff as the step allows; `condim3`: its own without torsional
+    and rolling friction.
     """
     dt: float | None = None
     """Physics step, s; None: the file's."""
@@ -64,7 +69,10 @@ class Choices:
 
 
 class Model:
-    """A compiled model of a file with its map to a robot of polypod. It is a `polypod.sim2sim.driven.Body`."""
+    """A compiled model of a file with its map to a robot of polypod.
+
+    It is a `polypod.sim2sim.driven.Body`.
+    """
 
     def __init__(
         self, reading: mjcf.Reading, file: str, robot: Robot, given: Given | None = None, choices: Choices | None = None
@@ -551,7 +559,8 @@ class Maker(Driven):
         self.base_axes = model.map.turn.T
         self._own_range = model.effort_ranges()
         self.saturated = np.zeros((self.num_envs, model.robot.num_joints))
-        """[envs, joints], physics steps in which the actuator was at its limit, since this was set to zero."""
+        """[envs, joints], physics steps in which the actuator was at its limit, since this was set
+        to zero."""
         self.watched = np.zeros(self.num_envs)
         """[envs], physics steps since then."""
 

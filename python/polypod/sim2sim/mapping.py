@@ -1,18 +1,19 @@
 """Map from the joints of somebody else's model to those of polypod's robot.
 
-Joints of the same name are the same joint. Others are found by geometry: both robots are trees of lines in space. A
-joint's line has to lie where its counterpart's does once the joints before it have the same poses. This also gives the
-sign of each joint and the angle between both zeros:
+Joints of the same name are the same joint. Others are found by geometry: both robots are trees of
+lines in space. A joint's line has to lie where its counterpart's does once the joints before it
+have the same poses. This also gives the sign of each joint and the angle between both zeros:
 
     polypod's angle = sign * the model's angle + offset
 
-The trees are matched from the base outwards. For each pair of joints, offsets are tried that carry the lines and the
-centres of mass further out onto each other. The cost of a match is the sum of squared distances, in tenths of the
-robot's size, with smaller terms for ranges and links. A name pairs two joints, and geometry has to agree with it. Two
-matches that cost about the same are an error: nothing is guessed.
+The trees are matched from the base outwards. For each pair of joints, offsets are tried that carry
+the lines and the centres of mass further out onto each other. The cost of a match is the sum of
+squared distances, in tenths of the robot's size, with smaller terms for ranges and links. A name
+pairs two joints, and geometry has to agree with it. Two matches that cost about the same are an
+error: nothing is guessed.
 
-The base's frame is polypod's (x forward, z up) unless no joint lies where it should; then the 24 turns by right angles
-are tried.
+The base's frame is polypod's (x forward, z up) unless no joint lies where it should; then the 24
+turns by right angles are tried.
 """
 
 import dataclasses
@@ -41,7 +42,8 @@ MARGIN = 0.02
 STEEPEST = 0.5
 """Cosine of the largest angle between two axes of one joint."""
 NEAR = 0.35
-"""Largest distance of two lines of one joint, in sizes of the robot; of joints that names pair twice that."""
+"""Largest distance of two lines of one joint, in sizes of the robot; of joints that names pair
+twice that."""
 SAME = 1e-3
 """Offsets that differ by less are one, rad; the first one found is kept."""
 ZERO = 1e-5

@@ -1,7 +1,8 @@
 """Reader of MuJoCo files (MJCF, or a URDF): only MuJoCo itself understands them in full.
 
-MuJoCo may end or hang on a file that was made to do so. `check` therefore lets another process compile the file first,
-within limits of time and memory; that process runs this file alone, so it imports nothing of polypod.
+MuJoCo may end or hang on a file that was made to do so. `check` therefore lets another process
+compile the file first, within limits of time and memory; that process runs this file alone, so it
+imports nothing of polypod.
 """
 
 import dataclasses
@@ -37,7 +38,8 @@ def read(path: str) -> Reading:
     """Reads a file, without the meshes and textures whose files are missing.
 
     Raises:
-        ValueError: for a file that MuJoCo does not read, and for a missing mesh that a link's mass comes from.
+        ValueError: for a file that MuJoCo does not read, and for a missing mesh that a link's mass
+            comes from.
     """
     mj = importlib.import_module("mujoco")
     spec = mj.MjSpec.from_file(path)

@@ -123,7 +123,8 @@ class ModelComparison:
     """`equal`, or how its frame was found."""
     base_turn: list[list[float]]
     base_shift: list[float]
-    """polypod's point is `base_turn @ p + base_shift` of the model's point p in the frames of the base, m."""
+    """polypod's point is `base_turn @ p + base_shift` of the model's point p in the frames of the
+    base, m."""
     joints: list[mapping.Pair]
     polypod: Played
     on_model: Played
@@ -183,7 +184,8 @@ def play(
     Args:
         model_file: the MuJoCo file.
         checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
-        robot: name or path of the config; None: the one of the policy's robots whose joints the model has.
+        robot: name or path of the config; None: the one of the policy's robots whose joints the
+            model has.
         options: see `Options`.
         progress: told how far the run is.
         watch: shown all states; None: nobody is.
@@ -259,10 +261,12 @@ def robot_of(model_file: Path, robots: Sequence[str]) -> str:
 
 
 def guess(model_file: Path, robots: Sequence[str]) -> str:
-    """The robot whose joints have the names of the model's. Raises ConfigError where that is not one.
+    """The robot whose joints have the names of the model's.
 
-    Robots of one maker share their joints' names. The name of the file or its model, masses and geometry tell them
-    apart.
+    Raises ConfigError where that is not one.
+
+    Robots of one maker share their joints' names. The name of the file or its model, masses and
+    geometry tell them apart.
     """
     try:
         spec = mjcf.read(str(model_file)).spec

@@ -99,7 +99,8 @@ class PhaseFigures:
     error_vel_yaw: float
     """Mean yaw rate error, rad/s."""
     velocity: tuple[float, float, float]
-    """Mean forward and left velocity, m/s, and yaw rate, rad/s, from `SETTLE_S` (`STOP_S`) after the command on."""
+    """Mean forward and left velocity, m/s, and yaw rate, rad/s, from `SETTLE_S` (`STOP_S`) after
+    the command on."""
     reached: float
     """Share of the asked motion that this is; NaN of a stop."""
     drift: float
@@ -107,7 +108,8 @@ class PhaseFigures:
     falls: float
     """Share of the episodes with a fall in this phase."""
     saturated: float
-    """Share of the physics steps and joints in which an actuator was at its limit; NaN where that is not measured."""
+    """Share of the physics steps and joints in which an actuator was at its limit; NaN where that
+    is not measured."""
     worst_joint: str
     """The joint that was at its limit most often."""
     worst_saturated: float

@@ -18,7 +18,8 @@ BASE = -1
 class Skeleton:
     """A robot at a position of its joints; all in the frame of its base.
 
-    A cluster is all that no joint lies within: the base with what is fixed to it, and what moves with each joint.
+    A cluster is all that no joint lies within: the base with what is fixed to it, and what moves
+    with each joint.
     """
 
     names: tuple[str, ...]
@@ -35,11 +36,14 @@ class Skeleton:
     ranges: Array
     """[joints, 2], rad or m; infinite without limits."""
     masses: Array
-    """[joints + 1], of the clusters, kg; the base's is the last one, so that `BASE` is its index."""
+    """[joints + 1], of the clusters, kg; the base's is the last one, so that `BASE` is its
+    index."""
     centers: Array
-    """[joints + 1, 3], centres of mass of the clusters, m; the joint's anchor where there is no mass."""
+    """[joints + 1, 3], centres of mass of the clusters, m; the joint's anchor where there is no
+    mass."""
     clusters: npt.NDArray[np.intp]
-    """[bodies of the model], the cluster of each body: the index of a joint, `BASE`, or less for what is no part."""
+    """[bodies of the model], the cluster of each body: the index of a joint, `BASE`, or less for
+    what is no part."""
 
     @property
     def size(self) -> float:

@@ -4,7 +4,8 @@ See `polypod.accuracy.reference` for what is set, and `polypod.sim2sim.driven` f
 
 - The PD law is MuJoCo's position actuator with the robot's gains.
 - Shapes touch the ground with the task's friction; the robot's own links pass through each other.
-- Contacts are as stiff as the step allows, or MuJoCo's default ones (time constant 20 ms), by choice.
+- Contacts are as stiff as the step allows, or MuJoCo's default ones (time constant 20 ms), by
+  choice.
 """
 
 import dataclasses
@@ -29,7 +30,8 @@ class Physics:
     friction: float = 0.8
     """Friction of feet and links on the ground."""
     soft_contact: bool = False
-    """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step allows."""
+    """MuJoCo's default contacts, in which feet sink in, in place of the stiffest ones that the step
+    allows."""
     torsional_friction: float = 0.0
     """Torsional friction of feet and links on the ground, m; above 0 contacts have `condim` 4."""
     rolling_friction: float = 0.0
