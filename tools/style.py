@@ -78,6 +78,7 @@ FENCE = re.compile(r"\s*(?:```|~~~)")
 FIXED = re.compile(r"\s*(?:\||#|!\[|<|\[[^\]]+\]: |[-=*]{3,}\s*$|>>> |\.\. )")
 """Lines that end a paragraph: tables, headings, pictures, tags, targets of links, rules."""
 ITEM = re.compile(r"\s*(?:[-*+]|\d+\.) +")
+MARKER = re.compile(r" (?=(?:[-*+>]|\d+\.|#+) )")
 COLUMNS = re.compile(r"\S {3,}\S")
 """Spaces that align columns of a preformatted line."""
 SECTION = re.compile(r"\s*(?:Args|Attributes|Returns|Raises|Yields|Examples?|Notes?|Usage):$")
@@ -344,15 +345,17 @@ def wrap_summary(text: str, indent: str, *, closes: bool) -> list[str]:
 
 
 def fill(text: str, first: str, following: str) -> list[str]:
-    """Lines of at most `WIDTH` columns; spans of code stay together where they fit."""
-    return textwrap.wrap(
-        text,
+    """Lines of at most `WIDTH` columns. None begins like a list item by chance."""
+    glued = MARKER.sub("\0", text)
+    lines = textwrap.wrap(
+        glued,
         WIDTH,
         initial_indent=first,
         subsequent_indent=following,
         break_long_words=False,
         break_on_hyphens=False,
     )
+    return [line.replace("\0", " ") for line in lines]
 
 
 def check_names(source: str, path: str) -> Iterator[Finding]:

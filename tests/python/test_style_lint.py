@@ -98,6 +98,9 @@ def test_wide_comments_are_wrapped():
     assert wrapped.replace("///", "").split() == rust.replace("///", "").split()
     assert style.wrap(wrapped, "a.rs") == wrapped
 
+    chance = f"/// {'word ' * 18}number - 1 word\n"
+    assert style.wrap(chance, "a.rs").endswith("word\n/// number - 1 word\n")
+
     python = f'def f():\n    """One. {LONG}"""\n    # {LONG}\n    x = 1\n    """{LONG}"""\n'
     wrapped = style.wrap(python, "a.py")
     assert max(map(len, wrapped.split("\n"))) <= style.WIDTH
