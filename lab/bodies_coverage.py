@@ -1,7 +1,8 @@
 """Numbers of a robot that lie outside drawn bodies: a policy trained on these has not seen them.
 
-The numbers are those of the observation term `joint_descriptors` in units of the body, joint by joint, of front and
-hind legs apart. Left and right limbs are one, mirrored. A robot is compared with drawn bodies of its class.
+The numbers are those of the observation term `joint_descriptors` in units of the body, joint by
+joint, of front and hind legs apart. Left and right limbs are one, mirrored. A robot is compared
+with drawn bodies of its class.
 """
 
 import dataclasses

@@ -1,7 +1,9 @@
-//! Blocks: all entities of one morphology and one kind (envs, robots, a sensor), in the order of their envs.
+//! Blocks: all entities of one morphology and one kind (envs, robots, a sensor), in the order of
+//! their envs.
 //!
-//! A block is a table of Bevy's: its components are slices, row `i` belonging to env `first + i`. Systems ask for the blocks of a
-//! kind with [`Blocks`], join them with those of other kinds by [`BlockIter::zip`], and work on them in chunks.
+//! A block is a table of Bevy's: its components are slices, row `i` belonging to env `first + i`.
+//! Systems ask for the blocks of a kind with [`Blocks`], join them with those of other kinds by
+//! [`BlockIter::zip`], and work on them in chunks.
 //!
 //! Each morphology has separate tables, so that its entities may have components that others lack,
 //! and a kind may be missing for whole morphologies: see [`RowKind::is_on`]. Within a block all
@@ -10,9 +12,9 @@
 //! one robot alone, a robot was despawned or an entity spawned on top of it, the blocks are an
 //! [`Error::Rows`] that names the entity, never another env's numbers.
 //!
-//! Bevy moves an entity into another table when it gains or loses a component. Before each control step the entities of a table
-//! are put in the order of their env ids again. Components with `#[component(storage = "SparseSet")]` move nothing: they may be
-//! given to single entities.
+//! Bevy moves an entity into another table when it gains or loses a component. Before each control
+//! step the entities of a table are put in the order of their env ids again. Components with
+//! `#[component(storage = "SparseSet")]` move nothing: they may be given to single entities.
 
 use std::ops::Range;
 
@@ -64,7 +66,8 @@ impl<'a> BlockFinder<'a> {
         Self { sizes, starts: starts.collect() }
     }
 
-    /// The block that rows with these env ids are: the morphology whose envs they all are, in their order.
+    /// The block that rows with these env ids are: the morphology whose envs they all are, in their
+    /// order.
     #[inline]
     fn find(&self, ids: &[EnvId]) -> Option<(Morphology, Range<usize>)> {
         let EnvId(id) = *ids.first()?;
@@ -109,7 +112,8 @@ impl RowKind for HeightScan {
 /// All entities of a kind.
 type Entities<'w, 's, K> = Query<'w, 's, (Entity, &'static EnvId, Option<&'static Morphology>), With<K>>;
 
-/// System parameter: components `D` of the entities of kind `K`, such as `Blocks<(&'static BasePose, &'static mut Feet), Robot>`.
+/// System parameter: components `D` of the entities of kind `K`, such as `Blocks<(&'static
+/// BasePose, &'static mut Feet), Robot>`.
 #[derive(SystemParam)]
 pub struct Blocks<'w, 's, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: RowKind> {
     rows: Query<'w, 's, (&'static EnvId, D), With<K>>,
@@ -121,7 +125,8 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     /// The blocks of all morphologies.
     ///
     /// # Errors
-    /// The entities of this kind are not one per env, those of a morphology in the order of their env ids in one table.
+    /// The entities of this kind are not one per env, those of a morphology in the order of their
+    /// env ids in one table.
     #[inline]
     pub fn read<'a>(&'a self) -> Result<BlockList<Slices<'a, 's, D::ReadOnly>>, Error>
     where
@@ -154,8 +159,8 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
         self.write_blocks(true)
     }
 
-    /// The blocks of the morphologies that have entities of this kind with these components, to write. Bevy's change detection does
-    /// not see it.
+    /// The blocks of the morphologies that have entities of this kind with these components, to
+    /// write. Bevy's change detection does not see it.
     ///
     /// # Errors
     /// As [`read_some`](Self::read_some).
@@ -277,8 +282,8 @@ pub struct BlockIter<I> {
 /// Blocks that are all there.
 pub type BlockList<R> = BlockIter<OrderedBlocks<R>>;
 
-/// Iterator over blocks in the order of their envs. They lie in the order of Bevy's tables, which is any, and are not moved to be put
-/// in order.
+/// Iterator over blocks in the order of their envs. They lie in the order of Bevy's tables, which
+/// is any, and are not moved to be put in order.
 #[derive(Clone, Debug)]
 pub struct OrderedBlocks<R> {
     /// A block that has been returned is absent.
@@ -418,8 +423,8 @@ impl<R, I: Iterator<Item = Block<R>>> BlockIter<I> {
         BlockIter { blocks: self.blocks.map(join), most_envs: self.most_envs }
     }
 
-    /// Joins the blocks with their rows of what has a row for every env of the simulation, such as an array of the
-    /// [`Batch`](crate::batch::Batch).
+    /// Joins the blocks with their rows of what has a row for every env of the simulation, such as
+    /// an array of the [`Batch`](crate::batch::Batch).
     #[must_use]
     pub fn zip_envs<T: SplitRows>(self, rows: T) -> BlockIter<impl Iterator<Item = Block<(R, T)>>> {
         let (mut rest, mut next) = (Some(rows), 0);
@@ -482,7 +487,8 @@ impl<R: SplitRows, I: Iterator<Item = Block<R>>> BlockIter<I> {
         });
     }
 
-    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel` makes it of a chunk.
+    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel`
+    /// makes it of a chunk.
     pub fn vectorize_chunks<K: Kernel<f32, Output = ()>>(
         self,
         workers: &Workers,
@@ -551,12 +557,13 @@ slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M);
 slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M, N);
 slices_of_tuple!(A, B, C, D, E, F, G, H, I, J, K, L, M, N, O);
 
-/// A binary digit of a morphology's number. Entities of different morphologies have different digits, so that Bevy keeps them in
-/// different tables.
+/// A binary digit of a morphology's number. Entities of different morphologies have different
+/// digits, so that Bevy keeps them in different tables.
 #[derive(Component)]
 struct TagDigit<const DIGIT: u32>;
 
-/// Puts an entity of kind `K` into the tables of its morphology, when the component `K` is inserted.
+/// Puts an entity of kind `K` into the tables of its morphology, when the component `K` is
+/// inserted.
 pub(crate) fn separate_morphologies<K: RowKind>(
     inserted: On<Insert, K>,
     tags: Query<&Morphology>,

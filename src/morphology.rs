@@ -38,8 +38,8 @@ pub struct MorphologyModel {
     pub shape_pairs: Vec<[usize; 2]>,
     /// Parameters before any randomisation.
     pub nominal: Parameters<f32>,
-    /// The joints of a quadruped's legs, `[role][leg]` in the order of [`ROLES`](robot::ROLES) and [`LEGS`](robot::LEGS), if
-    /// it has them all.
+    /// The joints of a quadruped's legs, `[role][leg]` in the order of [`ROLES`](robot::ROLES) and
+    /// [`LEGS`](robot::LEGS), if it has them all.
     pub quadruped: Option<QuadrupedJoints>,
     /// The robot's slots, in order: the joints of its actions and per-joint observations.
     pub slots: Vec<SlotJoint>,
@@ -71,7 +71,8 @@ pub struct SlotJoint {
     column: u32,
     /// Physical joint.
     joint: u32,
-    /// 1, or -1 where the URDF's axis is turned round: the canonical position is `sign` times the physical one.
+    /// 1, or -1 where the URDF's axis is turned round: the canonical position is `sign` times the
+    /// physical one.
     pub sign: f32,
     /// Its name.
     pub slot: Slot,
@@ -210,23 +211,25 @@ impl MorphologyModel {
         self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay
     }
 
-    /// Height of the base above the ground, m, at which a robot has sunk to `share` of its height in the default pose, in which the
-    /// base is at `height`.
+    /// Height of the base above the ground, m, at which a robot has sunk to `share` of its height
+    /// in the default pose, in which the base is at `height`.
     ///
-    /// A frame of the base below half the height of the hips says little of how the robot stands: then the height of the hips above
-    /// the ground counts.
+    /// A frame of the base below half the height of the hips says little of how the robot stands:
+    /// then the height of the hips above the ground counts.
     pub fn least_height(&self, share: f32, height: f32) -> f32 {
         let hips = height + self.hip_height;
         if height >= 0.5 * hips { share * height } else { height - (1.0 - share) * hips }
     }
 
-    /// Lets events of the task delay targets by up to this many physics steps on top of the actuators' own delays.
+    /// Lets events of the task delay targets by up to this many physics steps on top of the
+    /// actuators' own delays.
     pub(crate) fn allow_action_delay(&mut self, most: u32) {
         self.max_action_delay = most;
         self.topology.has_delay |= most > 0;
     }
 
-    /// Lets the ground's friction resist more than the sliding of the robot's contacts; it resists what the robot's surfaces do, too.
+    /// Lets the ground's friction resist more than the sliding of the robot's contacts; it resists
+    /// what the robot's surfaces do, too.
     pub(crate) fn allow_friction(&mut self, friction: ContactFriction) {
         self.topology.friction = friction.max(self.topology.friction);
     }
@@ -283,8 +286,9 @@ pub(crate) struct ConfiguredRobot {
 }
 
 impl ConfiguredRobot {
-    /// Reads the URDF, finds the joints' roles and applies the config. `more` comes on top of the config's package folders and locked joints;
-    /// `floating`, or with the base fixed to the world. Without `self_collision` the config says whether links collide.
+    /// Reads the URDF, finds the joints' roles and applies the config. `more` comes on top of the
+    /// config's package folders and locked joints; `floating`, or with the base fixed to the world.
+    /// Without `self_collision` the config says whether links collide.
     ///
     /// # Errors
     /// An error in the URDF or the config, with file, element and remedy.
@@ -421,8 +425,8 @@ fn body_groups(config: &RobotConfig, model: &Model, roles: &Roles) -> Result<Vec
     Ok(groups)
 }
 
-/// Gives joint `j`, whose axis `is_turned` round or not, the actuator of a config, but for its delay. Limits of effort and speed
-/// that the config leaves out are those of the URDF's joint.
+/// Gives joint `j`, whose axis `is_turned` round or not, the actuator of a config, but for its
+/// delay. Limits of effort and speed that the config leaves out are those of the URDF's joint.
 fn apply_actuator(
     joint: &mut JointTopology,
     p: &mut Parameters<f64>,
@@ -491,11 +495,12 @@ fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
     }
 }
 
-/// How far the lowest point of a robot's collision shapes is above the plane with this unit normal through its base's origin, m, at
-/// these joint positions with the base level; negative below the plane, 0 without shapes.
+/// How far the lowest point of a robot's collision shapes is above the plane with this unit normal
+/// through its base's origin, m, at these joint positions with the base level; negative below the
+/// plane, 0 without shapes.
 ///
-/// Points, rims of cylinders and balls are those that the engine pushes out of the ground. A robot that is set down by this height
-/// touches the ground and is not in it.
+/// Points, rims of cylinders and balls are those that the engine pushes out of the ground. A robot
+/// that is set down by this height touches the ground and is not in it.
 pub(crate) fn lowest_point(
     topology: &Topology,
     parameters: &Parameters<f64>,
@@ -572,8 +577,8 @@ pub struct RobotDescription {
     pub feet: Vec<String>,
     /// Names of the legs.
     pub legs: Vec<String>,
-    /// For each slot the one on the robot's other side, and the sign that its position takes there: the mirror image of a pose
-    /// about the plane between left and right.
+    /// For each slot the one on the robot's other side, and the sign that its position takes there:
+    /// the mirror image of a pose about the plane between left and right.
     pub mirror: Vec<(usize, f32)>,
 }
 
@@ -607,8 +612,9 @@ impl MorphologyModel {
         self.networks.iter().any(|network| network.joints().contains(&joint))
     }
 
-    /// Torques of the joints that networks drive, before the actuators' limits, and zero for all others, N m, `[joints]`: for position
-    /// errors (target less position, rad) and velocities (rad/s) `[joints]`, one physics step after the other. `memory` holds
+    /// Torques of the joints that networks drive, before the actuators' limits, and zero for all
+    /// others, N m, `[joints]`: for position errors (target less position, rad) and velocities
+    /// (rad/s) `[joints]`, one physics step after the other. `memory` holds
     /// [`num_remembered`](Self::num_remembered) numbers, zero to begin with.
     ///
     /// # Panics
@@ -694,7 +700,8 @@ impl MorphologyModel {
         groups.zip(&self.networks).map(describe).collect()
     }
 
-    /// For each of the robot's slots the one on its other side, and the sign that its position takes there.
+    /// For each of the robot's slots the one on its other side, and the sign that its position
+    /// takes there.
     pub fn mirrored_slots(&self) -> Vec<(usize, f32)> {
         (0..self.slots.len()).map(|slot| self.mirror(slot)).collect()
     }
@@ -708,7 +715,8 @@ impl MorphologyModel {
         mirror
     }
 
-    /// The foot on the other side of each of a batch's `columns` of feet; those that the robot lacks stay as they are.
+    /// The foot on the other side of each of a batch's `columns` of feet; those that the robot
+    /// lacks stay as they are.
     pub fn mirrored_feet(&self, columns: usize) -> Vec<usize> {
         let mut mirror: Vec<usize> = (0..columns).collect();
         for (leg, column) in self.roles.legs.iter().zip(&self.foot_columns) {
@@ -729,7 +737,8 @@ impl MorphologyModel {
         (other, sign * self.slots[slot].sign * self.slots[other].sign)
     }
 
-    /// Largest effort of a joint at any position, N m, infinity without a limit; `body` holds the numbers of a robot of this kind.
+    /// Largest effort of a joint at any position, N m, infinity without a limit; `body` holds the
+    /// numbers of a robot of this kind.
     pub fn max_effort(&self, joint: usize, body: &Parameters<f32>) -> f32 {
         let limit = body.effort_limit[joint];
         match &self.topology.joints[joint].effort_table {

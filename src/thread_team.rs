@@ -1,12 +1,14 @@
 //! Threads of a Bevy task pool that stay awake from one job to the next.
 //!
-//! A control step is a dozen jobs, each over in less time than a sleeping thread takes to wake. So the pool's threads are woken once:
-//! they help with jobs for as long as these follow each other closely, and go back to sleep after that.
+//! A control step is a dozen jobs, each over in less time than a sleeping thread takes to wake. So
+//! the pool's threads are woken once: they help with jobs for as long as these follow each other
+//! closely, and go back to sleep after that.
 //!
-//! `tests/loom` runs this file under every order of its threads' steps: all that threads share is named in [`sync`](crate::sync).
+//! `tests/loom` runs this file under every order of its threads' steps: all that threads share is
+//! named in [`sync`](crate::sync).
 //!
-//! Besides [`lanes`](crate::dynamics::lanes) the only file of the crate with `unsafe` code: a job borrows from its caller, which the threads
-//! cannot know.
+//! Besides [`lanes`](crate::dynamics::lanes) the only file of the crate with `unsafe` code: a job
+//! borrows from its caller, which the threads cannot know.
 
 #![allow(unsafe_code)]
 
@@ -18,8 +20,8 @@ use crate::sync::{
     pause, yield_now,
 };
 
-/// Number of tasks that memory is asked for at once. The tasks of a job are written one after the other, and are moved whenever the
-/// memory for them grows.
+/// Number of tasks that memory is asked for at once. The tasks of a job are written one after the
+/// other, and are moved whenever the memory for them grows.
 const MOST_ROOM: usize = 64;
 
 /// The caller's thread and helpers, which work on one job at a time.
@@ -97,7 +99,8 @@ impl ThreadTeam {
         Self { pool, shared: Arc::new(shared), busy: AtomicBool::new(false) }
     }
 
-    /// Runs `f(task)` on every task, on at most `threads` threads. Threads take one task after the other.
+    /// Runs `f(task)` on every task, on at most `threads` threads. Threads take one task after the
+    /// other.
     pub(crate) fn for_each<T: Send>(&self, tasks: impl Iterator<Item = T>, threads: usize, f: impl Fn(T) + Sync) {
         let room = tasks.size_hint().1.unwrap_or_default().min(MOST_ROOM);
         let mut queue: Vec<Mutex<Option<T>>> = Vec::with_capacity(room);

@@ -23,7 +23,8 @@ use crate::robot::{LimbKind, Side};
 /// Heights that differ by less are equal, m: parameters are in `f32`.
 const ROUNDING: f64 = 1e-6;
 
-/// Factors between a body and that of its URDF; lengths and masses by part of the body, the same for all legs.
+/// Factors between a body and that of its URDF; lengths and masses by part of the body, the same
+/// for all legs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BodyScales {
     /// Length of the base, along x.
@@ -211,7 +212,8 @@ fn stretch(along: &Vec3<f64>, factor: f64) -> Mat3<f64> {
     std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j)) + more * along[i] * along[j]))
 }
 
-/// Inertia of a link whose mass is spread by a map and weighed by a factor: the second moments follow the map.
+/// Inertia of a link whose mass is spread by a map and weighed by a factor: the second moments
+/// follow the map.
 fn stretched(map: &Mat3<f64>, mass: f64, inertia: &Sym3<f64>) -> Sym3<f64> {
     let moments = complement(inertia, 0.5);
     // `rotate_sym` is a congruence: any map will do
@@ -261,7 +263,8 @@ fn stretch_shapes(topology: &Topology, maps: &[(Mat3<f64>, f64)], size: f64, p: 
     p.box_links(topology);
 }
 
-/// Height of the base above level ground in the default pose, with the lowest point at the reset's margin above it, m.
+/// Height of the base above level ground in the default pose, with the lowest point at the reset's
+/// margin above it, m.
 ///
 /// A foot that is a ball is measured at its site, from which its centre differs by rounding.
 fn spawn_height(model: &MorphologyModel, p: &Parameters<f64>, position: &[f32], size: f64) -> f32 {

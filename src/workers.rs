@@ -1,7 +1,7 @@
 //! Threads that share out rows of work in chunks.
 //!
-//! Chunks only share out rows; what happens to a row does not depend on its chunk. Results are therefore bitwise the same
-//! for any number of threads.
+//! Chunks only share out rows; what happens to a row does not depend on its chunk. Results are
+//! therefore bitwise the same for any number of threads.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -86,7 +86,8 @@ split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2, L l1 l2, M m1 m2);
 split_tuple!(A a1 a2, B b1 b2, C c1 c2, D d1 d2, E e1 e2, F f1 f2, G g1 g2, H h1 h2, I i1 i2, J j1 j2, K k1 k2, L l1 l2, M m1 m2, N n1 n2);
 
-/// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of its rows.
+/// The threads of a simulation: the caller's and `threads - 1` workers; and the instruction set of
+/// its rows.
 #[derive(Resource)]
 pub struct Workers {
     team: Option<ThreadTeam>,
@@ -144,8 +145,8 @@ impl Workers {
         self.for_each_chunk_of(std::iter::once(((), len, rows)), len, |(), first, n, rows| f(first, n, rows));
     }
 
-    /// Calls `f(piece, first row, number of rows, rows)` on chunks of pieces, each given with its number of rows; these add up to
-    /// at most `len`. No chunk has rows of two pieces.
+    /// Calls `f(piece, first row, number of rows, rows)` on chunks of pieces, each given with its
+    /// number of rows; these add up to at most `len`. No chunk has rows of two pieces.
     pub fn for_each_chunk_of<P: Copy + Send, R: SplitRows>(
         &self,
         pieces: impl Iterator<Item = (P, usize, R)>,

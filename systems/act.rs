@@ -21,10 +21,11 @@ impl Plugin for ActPlugin {
     }
 }
 
-/// `target = default + scale * sign * action`, from slots to physical joints; the targets before become history. Actions in columns
-/// of slots that a robot lacks become zero.
+/// `target = default + scale * sign * action`, from slots to physical joints; the targets before
+/// become history. Actions in columns of slots that a robot lacks become zero.
 ///
-/// The first action after a reset fills the whole history, so that a delayed actuator does not see an older episode.
+/// The first action after a reset fills the whole history, so that a delayed actuator does not see
+/// an older episode.
 pub(super) fn apply_actions(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,

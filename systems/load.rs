@@ -69,7 +69,8 @@ impl Share {
         (Self { envs, num_envs: start, counts: totals, first_places }, counts)
     }
 
-    /// Places of the rows in their robots' blocks in the whole batch; `blocks` are the rows of each robot.
+    /// Places of the rows in their robots' blocks in the whole batch; `blocks` are the rows of each
+    /// robot.
     pub fn places<'a>(&'a self, blocks: &'a BlockSizes) -> impl Iterator<Item = usize> + 'a {
         self.first_places.iter().zip(&blocks.0).flat_map(|(&first, &count)| first..first + count)
     }

@@ -30,8 +30,8 @@ impl Plugin for ObservePlugin {
     }
 }
 
-/// Observes all envs; after resets that the caller asked for only those that were reset, so that the others keep their
-/// observation and their random streams.
+/// Observes all envs; after resets that the caller asked for only those that were reset, so that
+/// the others keep their observation and their random streams.
 pub(super) fn observe(
     workers: Res<Workers>,
     task: Res<CompiledTask>,
@@ -92,7 +92,8 @@ pub(super) fn observe_final(
     Ok(())
 }
 
-/// Writes the observation of one env. A broken state is observed as zeros: no NaN reaches a learner.
+/// Writes the observation of one env. A broken state is observed as zeros: no NaN reaches a
+/// learner.
 struct Observation<'a> {
     task: &'a CompiledTask,
     views: &'a Views<'a>,
@@ -124,8 +125,9 @@ impl Kernel<f32> for Observation<'_> {
     }
 }
 
-/// Moves the numbers of a robot's own joints or feet, which come first, to their columns of the batch's, and sets all others
-/// to zero. `own_columns` are in rising order: none is overwritten before it has moved.
+/// Moves the numbers of a robot's own joints or feet, which come first, to their columns of the
+/// batch's, and sets all others to zero. `own_columns` are in rising order: none is overwritten
+/// before it has moved.
 fn spread<I>(own_columns: I, columns: usize, numbers: &mut [f32])
 where
     I: ExactSizeIterator<Item = usize> + DoubleEndedIterator + Clone,
@@ -141,10 +143,12 @@ where
 }
 
 impl ObservationTerm {
-    /// Observes an env's numbers, or keeps those that last an episode: `write` is handed those of its robot, in a batch of so many columns of joints. `row` holds the
-    /// term's numbers as they were observed in the step before. What a new episode remembers is its first numbers.
+    /// Observes an env's numbers, or keeps those that last an episode: `write` is handed those of
+    /// its robot, in a batch of so many columns of joints. `row` holds the term's numbers as they
+    /// were observed in the step before. What a new episode remembers is its first numbers.
     ///
-    /// `apply_noise_and_scale` is called from here and from no closure, so that it is compiled for the instruction set of its caller.
+    /// `apply_noise_and_scale` is called from here and from no closure, so that it is compiled for
+    /// the instruction set of its caller.
     #[inline(always)]
     fn observe(
         &self,
@@ -204,9 +208,10 @@ impl ObservationTerm {
     }
 }
 
-/// Adds an observation term that is read from a component of the entities of kind `K`, in a plugin's `build`. Tasks name it like any
-/// other term. For morphologies without such entities ([`RowKind::is_on`]) its numbers are zero and masked. One of the kind
-/// [`TermKind::PerJoint`] or [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to write.
+/// Adds an observation term that is read from a component of the entities of kind `K`, in a
+/// plugin's `build`. Tasks name it like any other term. For morphologies without such entities
+/// ([`RowKind::is_on`]) its numbers are zero and masked. One of the kind [`TermKind::PerJoint`] or
+/// [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to write.
 pub fn add_observation<C: Component, K: RowKind>(
     app: &mut App,
     name: &'static str,
@@ -390,7 +395,8 @@ fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     out[34] = stance.spawn_height;
 }
 
-/// Numbers of physical joints that turn with them, in the order and directions of the robot's slots.
+/// Numbers of physical joints that turn with them, in the order and directions of the robot's
+/// slots.
 #[inline(always)]
 fn by_slot(r: &RobotView, out: &mut [f32], f: impl Fn(usize) -> f32) {
     for (x, slot) in out.iter_mut().zip(&r.morphology.slots) {

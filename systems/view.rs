@@ -38,7 +38,8 @@ pub struct RobotView<'a> {
     pub contacts: &'a ContactSensor,
     /// Positions, velocities and heights of the feet.
     pub feet: &'a Feet,
-    /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has none.
+    /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has
+    /// none.
     pub height_scan: &'a [f32],
     /// Descriptions of its joints, see [`JointDescriptors`]; empty where the task does not observe
     /// them.
@@ -51,15 +52,16 @@ pub struct RobotView<'a> {
     pub ground: &'a Ground,
     /// Where the env is on the ground.
     pub origin: &'a EnvOrigin,
-    /// Whether the episode ends as failed in this step. Rewards alone know: for other terms it is false.
+    /// Whether the episode ends as failed in this step. Rewards alone know: for other terms it is
+    /// false.
     pub terminated: bool,
     /// Length of a control step, s.
     pub step_dt: f32,
 }
 
 impl RobotView<'_> {
-    /// Height of the base's origin above the ground below it, m; above the mean of the ground below the height scanner's rays
-    /// where the task has one, as Isaac Lab does.
+    /// Height of the base's origin above the ground below it, m; above the mean of the ground below
+    /// the height scanner's rays where the task has one, as Isaac Lab does.
     #[inline(always)]
     pub fn base_height(&self) -> f32 {
         let (scan, [x, y, z]) = (self.height_scan, self.pose.position);
@@ -206,8 +208,9 @@ impl NewBody<'_> {
         self.parameters.dynamic_friction = dynamic_friction;
     }
 
-    /// Sets the coefficients of torsional and rolling friction of the robot's surface, m; `None` leaves one as it is. The larger one of
-    /// robot and ground acts. They act on robots for which the task has such friction: see
+    /// Sets the coefficients of torsional and rolling friction of the robot's surface, m; `None`
+    /// leaves one as it is. The larger one of robot and ground acts. They act on robots for which
+    /// the task has such friction: see
     /// [`CompiledTask::contact_friction`](super::CompiledTask::contact_friction).
     pub fn set_spin_friction(&mut self, torsional: Option<f32>, rolling: Option<f32>) {
         let of_robot = [torsional, rolling].map(Option::unwrap_or_default);
@@ -225,8 +228,9 @@ impl NewBody<'_> {
 pub struct NewState<'a> {
     /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
-    /// Pose of the base; starts at the env's origin, at the spawn height above level ground, level. Afterwards it is lifted onto
-    /// what stands there, and further until no collision shape is nearer to the ground than the reset's `spawn_margin`.
+    /// Pose of the base; starts at the env's origin, at the spawn height above level ground, level.
+    /// Afterwards it is lifted onto what stands there, and further until no collision shape is
+    /// nearer to the ground than the reset's `spawn_margin`.
     pub pose: &'a mut BasePose,
     /// Velocity of the base; starts at rest.
     pub velocity: &'a mut BaseVelocity,
@@ -252,8 +256,8 @@ pub struct EpisodeEnd<'a> {
     pub episode_length_s: f32,
     /// Time since the episode's reset, s.
     pub lived_s: f32,
-    /// Time that the robot was given, s: all until the time-out where a termination of the task ended the episode, and `lived_s` where the
-    /// time ran out or a caller ended it.
+    /// Time that the robot was given, s: all until the time-out where a termination of the task
+    /// ended the episode, and `lived_s` where the time ran out or a caller ended it.
     pub given_s: f32,
     /// The tiles, if the ground is generated terrain.
     pub layout: Option<&'a TerrainLayout>,

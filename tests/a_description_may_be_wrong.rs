@@ -1,4 +1,5 @@
-//! A term that describes the robot may have errors: drawn when an episode begins, kept until it ends, within their limit.
+//! A term that describes the robot may have errors: drawn when an episode begins, kept until it
+//! ends, within their limit.
 
 use polypod::{Sim, SimOptions};
 

@@ -229,7 +229,7 @@ fn springs_and_surfaces_that_cannot_be_are_refused() {
         let (error, file) = root.robot_error("spot", text);
         assert_error(&error, &file, element, problem, remedy);
     }
-    // what the URDF decides is said when the robot is loaded
+    // errors that depend on the URDF come when the robot is loaded
     let of_robot = |surfaces: &str| {
         let overrides = vec![format!("robot_overrides.spot.surfaces={surfaces}")];
         let options =

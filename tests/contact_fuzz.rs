@@ -1,5 +1,5 @@
-//! Random bodies over planes: candidates find the true distance, nothing is felt where nothing touches, and contacts
-//! push, along the normal and outwards.
+//! Random bodies over planes: candidates find the true distance, nothing is felt where nothing
+//! touches, and contacts push, along the normal and outwards.
 
 use std::f64::consts::FRAC_PI_3;
 use std::path::PathBuf;
@@ -19,13 +19,14 @@ const DT: f64 = 0.005;
 const GRAVITY: [f64; 3] = [0.0, 0.0, -9.81];
 /// Contacts take part from here, m.
 const MARGIN: f64 = 0.02;
-/// Rounding of f32 on distances of up to 3 m, m: a dozen operations of half a unit in the last place (1.2e-7) each.
+/// Rounding of f32 on distances of up to 3 m, m: a dozen operations of half a unit in the last
+/// place (1.2e-7) each.
 const EXACT: f64 = 1e-5;
 /// Shapes sit this far from their body's origin, along each axis, m.
 const LEVER: f64 = 0.3;
-/// Largest rest of the coupling of friction and normal impulse after eight sweeps in one step at up to 2 m/s and
-/// 3 rad/s, m.
-/// (Measured: 2.5 mm at most; 86 of 16,500 bodies above `EXACT`, of which 200 sweeps leave 7.)
+/// Largest rest of the coupling of friction and normal impulse after eight sweeps in one step at up
+/// to 2 m/s and 3 rad/s, m. (Measured: 2.5 mm at most; 86 of 16,500 bodies above `EXACT`, of which
+/// 200 sweeps leave 7.)
 const UNSOLVED: f64 = 3e-3;
 /// The lowest point of a rim is looked for when the cylinder leans by more than this, rad.
 const UPRIGHT: f64 = 1e-3;
@@ -182,7 +183,8 @@ impl Sample {
     /// How much further than the true distance the nearest candidate may be.
     fn slack(&self) -> f64 {
         match self.geometry {
-            // three fixed points of an upright cylinder's rim: the nearest is at most 60 degrees off the lowest
+            // three fixed points of an upright cylinder's rim: the nearest is at most 60 degrees
+            // off the lowest
             Geometry::Cylinder { radius, .. } if self.lean(&self.state) < UPRIGHT * 1.001 => {
                 0.5 * radius * self.lean(&self.state)
             }
@@ -190,7 +192,8 @@ impl Sample {
         }
     }
 
-    /// How far a step may take the lowest point off its tangent, as the body turns: constraints hold for velocities.
+    /// How far a step may take the lowest point off its tangent, as the body turns: constraints
+    /// hold for velocities.
     fn curvature(&self, start: &State<f32>, end: &State<f32>) -> f64 {
         // the motion that pushes a body out also turns it, but is no part of the velocity
         let [a, b] = [start, end].map(|state| DQuat::from_array(state.rotation.map(f64::from)).normalize());
@@ -374,8 +377,8 @@ fn one_step_of_a_hundred_thousand_bodies() {
     assert!(bad.is_empty(), "{} samples fail, among them\n{}", bad.len(), bad[..bad.len().min(3)].join("\n"));
 }
 
-/// Bodies that start inside the ground, at rest, with their origin in the shape as a robot's is: on the way out no step
-/// takes them deeper.
+/// Bodies that start inside the ground, at rest, with their origin in the shape as a robot's is: on
+/// the way out no step takes them deeper.
 #[test]
 fn bodies_are_pushed_out() {
     let mut samples: Vec<(u64, Sample)> =

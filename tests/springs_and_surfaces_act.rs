@@ -1,4 +1,5 @@
-//! Springs of joints and surfaces of links act in both engines, and robots without them keep their bits.
+//! Springs of joints and surfaces of links act in both engines, and robots without them keep their
+//! bits.
 
 use polypod::components::{BasePose, BaseVelocity, Body, JointState};
 use polypod::dynamics::ContactFriction;
@@ -79,7 +80,8 @@ fn a_spring_pulls_to_its_reference_in_both_engines() {
         let engine = |options| if avian { on_avian(options) } else { options };
         let (free, pulled) = (angles(&engine(calm(&[]))), angles(&engine(calm(&spring))));
         let model = Sim::new(&calm(&spring)).unwrap().morphologies()[0].clone();
-        // a robot in the air would move each joint by the spring's share; on the ground all feet share
+        // a robot in the air would move each joint by the spring's share; on the ground all feet
+        // share
         for (slot, joint) in model.slots.iter().enumerate().filter(|(_, joint)| joint.slot.role.is_flexion()) {
             let towards = (rest - free[slot]).signum();
             let moved = (pulled[slot] - free[slot]) * towards;

@@ -10,7 +10,8 @@ from polypod.files import real_path
 MARK = "results"
 """Name of the part of a document that holds the tables."""
 DEFAULT_SCORE = 0.25
-"""Velocity error, m/s, of an exploring policy to which iterations are counted: a third of a standing robot's."""
+"""Velocity error, m/s, of an exploring policy to which iterations are counted: a third of a
+standing robot's."""
 
 __all__ = ["DEFAULT_SCORE", "MARK", "Results", "read", "write"]
 
@@ -32,7 +33,8 @@ def write(
         baseline: group whose final error is the score instead.
 
     Raises:
-        ConfigError: for a document without marks, a file that cannot be written, a baseline that is none.
+        ConfigError: for a document without marks, a file that cannot be written, a baseline that is
+            none.
     """
     if out is not None:
         documents.check(out, MARK)

@@ -13,7 +13,8 @@ from polypod.evaluation.plot import picture
 CURVES = {
     "error_vel_xy": "velocity error (m/s)",
 }
-"""TensorBoard's `Metrics/<robot>/...` that are drawn, and their labels. `tensorboard` shows the others."""
+"""TensorBoard's `Metrics/<robot>/...` that are drawn, and their labels. `tensorboard` shows the
+others."""
 _COLUMNS = 4
 
 
@@ -24,7 +25,8 @@ def draw(results: Results, folder: Path) -> list[Path]:
         The files.
 
     Raises:
-        ConfigError: without matplotlib, where a file cannot be written, and for curves without a manifest.
+        ConfigError: without matplotlib, where a file cannot be written, and for curves without a
+            manifest.
     """
     return _draw_curves(results, folder) + _draw_maps(results, folder)
 

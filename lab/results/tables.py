@@ -48,7 +48,8 @@ _TRANSFERS = {
     False: "A robot transfers if it falls in at most 5 % of the episodes in MuJoCo and its planar error there is at "
     "most 0.1 m/s above polypod's.",
 }
-"""By whether the files hold the figures of walking: those of builds before it judge by another bound."""
+"""By whether the files hold the figures of walking: those of builds before it judge by another
+bound."""
 COMPARED = {
     "error_vel_xy": ("err xy", ".3f"),
     "error_vel_yaw": ("err yaw", ".3f"),

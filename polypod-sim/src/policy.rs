@@ -1,8 +1,9 @@
 //! Policies as ONNX files, run by tract: no Python is needed.
 //!
-//! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The network takes observations
-//! `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in the order of the task that it was trained on. A recurrent one
-//! also takes and gives states, which are kept here.
+//! `polypod export` writes such a file and its manifest, `policy.onnx` and `policy.json`. The
+//! network takes observations `[batch, num_obs]` and gives actions `[batch, num_actions]`, both in
+//! the order of the task that it was trained on. A recurrent one also takes and gives states, which
+//! are kept here.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -17,7 +18,8 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use tract_onnx::prelude::*;
 
-/// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that it accepts.
+/// Largest network that is read, bytes: twice what `polypod export` writes for the largest one that
+/// it accepts.
 const MAX_NETWORK: u64 = 1 << 30;
 
 /// Largest observation or action of a policy, equal to `polypod.runs.manifest.MAX_LAYER`.
@@ -301,8 +303,8 @@ impl Policy {
         Ok(())
     }
 
-    /// Actions, row-major `[num_envs, num_actions]`, for observations `[num_envs, num_obs]`. A recurrent network remembers them, see
-    /// [`reset`](Self::reset).
+    /// Actions, row-major `[num_envs, num_actions]`, for observations `[num_envs, num_obs]`. A
+    /// recurrent network remembers them, see [`reset`](Self::reset).
     ///
     /// # Errors
     /// Another number of observations.

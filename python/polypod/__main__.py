@@ -7,14 +7,15 @@ from collections.abc import MutableMapping
 from polypod import interrupts
 
 _SPIN_COUNT = "1000"
-"""Turns, some microseconds, that an idle thread of torch's OpenMP (libgomp) spins before it sleeps."""
+"""Turns, some microseconds, that an idle thread of torch's OpenMP (libgomp) spins before it
+sleeps."""
 
 
 def spin_briefly(environ: MutableMapping[str, str]) -> None:
     """Has torch's idle threads leave the cores to others, unless the user has set how they wait.
 
-    By default they spin for milliseconds. Simulator and learner take turns on the same cores, and where other programs
-    compute too, threads that spin keep the one they wait for from its core.
+    By default they spin for milliseconds. Simulator and learner take turns on the same cores, and
+    where other programs compute too, threads that spin keep the one they wait for from its core.
     """
     if not environ.keys() & {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"}:
         environ["GOMP_SPINCOUNT"] = _SPIN_COUNT

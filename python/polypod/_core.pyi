@@ -1,7 +1,8 @@
 """The simulator: the compiled half of polypod.
 
-Arrays are NumPy arrays that the simulator owns. They are allocated once, at construction, and `step` and `reset` write
-into them; what is handed out is the array itself and never a copy, unless a docstring says so. Rows are envs.
+Arrays are NumPy arrays that the simulator owns. They are allocated once, at construction, and
+`step` and `reset` write into them; what is handed out is the array itself and never a copy, unless
+a docstring says so. Rows are envs.
 """
 
 import os
@@ -58,7 +59,8 @@ class TrainFile(TypedDict):
 
     text: str
     id: str
-    """Tells the file from all others: its absolute path, or that of a built-in file within the repository."""
+    """Tells the file from all others: its absolute path, or that of a built-in file within the
+    repository."""
     folder: str | None
     """Where relative paths begin; None for a built-in file."""
 
@@ -80,7 +82,8 @@ class TerrainEntry(TypedDict):
     task: str
     """Full name."""
     origin: tuple[float, float]
-    """x and y of the first height, in the world, or about the origin of every env where obstacles stand in each."""
+    """x and y of the first height, in the world, or about the origin of every env where obstacles
+    stand in each."""
     cell: float
     """Distance of two heights."""
     heights: npt.NDArray[np.float32]
@@ -92,7 +95,8 @@ class TerrainEntry(TypedDict):
     tiles: list[tuple[int, int, str, tuple[float, float]]]
     """Level (row), column, type and middle of each tile."""
     pits: list[tuple[tuple[float, float], tuple[float, float]]]
-    """Rectangles of heightfields that reach below the plane: smallest and largest x and y, about the same origin."""
+    """Rectangles of heightfields that reach below the plane: smallest and largest x and y, about
+    the same origin."""
 
 class CoreInfo(TypedDict):
     version: str
@@ -127,9 +131,9 @@ class Learner:
     ) -> None:
         """Makes a learner for the envs, robots and observations of `sim`.
 
-        With `peers` it is one of several workers that learn together, each with the envs of its `share_of_worker`. All
-        of them come to the same networks, bit for bit those of one learner with all envs. Arrays [num_envs] have a row
-        for each env of `sim`.
+        With `peers` it is one of several workers that learn together, each with the envs of its
+        `share_of_worker`. All of them come to the same networks, bit for bit those of one learner
+        with all envs. Arrays [num_envs] have a row for each env of `sim`.
 
         Args:
             sim: the simulation.
@@ -140,8 +144,9 @@ class Learner:
 
         Raises:
             ValueError: for options that cannot be read.
-            ConfigError: for options that are out of range or name no columns of a task with several observation
-                groups, more workers than blocks of envs, and the simulation of another share.
+            ConfigError: for options that are out of range or name no columns of a task with several
+                observation groups, more workers than blocks of envs, and the simulation of another
+                share.
         """
 
     def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
@@ -154,8 +159,8 @@ class Learner:
             iteration: its number, which the noise depends on.
 
         Returns:
-            Step of the iteration, number of the env among those of all workers, return, and length in control steps of
-                each episode that ended, by steps and envs.
+            Step of the iteration, number of the env among those of all workers, return, and length
+                in control steps of each episode that ended, by steps and envs.
 
         Raises:
             ConfigError: for another simulation, and for actions that a diverged policy gives.
@@ -166,7 +171,8 @@ class Learner:
 
         Args:
             entropy_coef: weight of the entropy.
-            desired_kl: divergence that the learning rate is adapted to; None: the learning rate stays.
+            desired_kl: divergence that the learning rate is adapted to; None: the learning rate
+                stays.
 
         Raises:
             ValueError: for numbers that are not finite, and a divergence that is not above 0.
@@ -176,7 +182,8 @@ class Learner:
         """Learns from the steps, and takes their observations into the networks' statistics.
 
         Returns:
-            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on with.
+            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on
+            with.
 
         Raises:
             ConfigError: for another simulation, and where a loss is not finite.
@@ -188,9 +195,10 @@ class Learner:
         """Returns the numbers of the network `actor` or `critic`, as copies.
 
         Returns:
-            Weights, Adam's mean of the gradients, Adam's mean of their squares, and Adam's steps. Each list is in the
-            order of torch's parameters: the deviations of the actions (of a perceptron that is the actor), then weight
-            [outputs, inputs] and bias [outputs] of each layer; flat.
+            Weights, Adam's mean of the gradients, Adam's mean of their squares, and Adam's steps.
+            Each list is in the order of torch's parameters: the deviations of the actions (of a
+            perceptron that is the actor), then weight [outputs, inputs] and bias [outputs] of each
+            layer; flat.
         """
 
     def action_std(self) -> npt.NDArray[np.float32]:
@@ -211,8 +219,8 @@ class Learner:
         """Takes over what `network` gives.
 
         Raises:
-            ConfigError: for other sizes, a deviation or a mean of squares below 0, and a number that is not finite,
-                which change nothing.
+            ConfigError: for other sizes, a deviation or a mean of squares below 0, and a number
+                that is not finite, which change nothing.
         """
 
     def normalizer(
@@ -222,17 +230,22 @@ class Learner:
 
         Args:
             name: of the network.
-            index: 0 for what a perceptron reads. A network of joints has four: of what joints do, of the numbers that
-                describe them, of the logarithms of these, and of what belongs to no joint.
+            index: 0 for what a perceptron reads. A network of joints has four: of what joints do,
+                of the numbers that describe them, of the logarithms of these, and of what belongs
+                to no joint.
 
         Returns:
-            Arrays with one number for each that is normalised, or None where there are no such statistics.
+            Arrays with one number for each that is normalised, or None where there are no such
+            statistics.
         """
 
     def set_normalizer(
         self, name: str, mean: npt.NDArray[np.float32], variance: npt.NDArray[np.float32], count: int, index: int = 0
     ) -> None:
-        """Takes over what `normalizer` gives. Raises ConfigError for other sizes and numbers that it never gives."""
+        """Takes over what `normalizer` gives.
+
+        Raises ConfigError for other sizes and numbers that it never gives.
+        """
 
     def reward_scale(self) -> tuple[npt.NDArray[np.float32], list[npt.NDArray[np.float64]]] | None:
         """Returns the discounted returns, and each robot's statistics of them.
@@ -260,14 +273,16 @@ class Learner:
     def rollout(self, sim: VecSim, into: dict[str, npt.NDArray[Any]] | None = None) -> dict[str, npt.NDArray[Any]]:
         """Returns the samples of the iteration as flat arrays by steps, envs and numbers.
 
-        float32: `observations`, `actions`, `means`, `rewards` (as they came), `log_probs`, `values`, `returns`,
-        `advantages` (brought to one scale). uint8: `ends` (0 none, 1 terminated, 2 time-out). uint32: `places`, the
-        number of each sample in its block of envs; `order`, the samples, step * num_envs + env, as the mini-batches
-        take them; and `batch_sizes`, how many each takes.
+        float32: `observations`, `actions`, `means`, `rewards` (as they came), `log_probs`,
+        `values`, `returns`, `advantages` (brought to one scale). uint8: `ends` (0 none, 1
+        terminated, 2 time-out). uint32: `places`, the number of each sample in its block of envs;
+        `order`, the samples, step * num_envs + env, as the mini-batches take them; and
+        `batch_sizes`, how many each takes.
 
         Args:
             sim: the simulation that the learner was made for.
-            into: arrays to write into, such as views of memory that a GPU reads; those that are not there are made.
+            into: arrays to write into, such as views of memory that a GPU reads; those that are not
+                there are made.
 
         Raises:
             ConfigError: for another simulation, and for arrays of other sizes.
@@ -277,9 +292,9 @@ class Learner:
 class VecSim:
     """Many independent envs, one robot each, stepped together on the CPU.
 
-    Envs of one robot are contiguous: robot r of R gets floor(num_envs / R) envs, the first (num_envs mod R) robots one
-    more. An env's trajectory depends on the seed, its robot, its place in that robot's block, its configuration and its
-    actions alone.
+    Envs of one robot are contiguous: robot r of R gets floor(num_envs / R) envs, the first
+    (num_envs mod R) robots one more. An env's trajectory depends on the seed, its robot, its place
+    in that robot's block, its configuration and its actions alone.
     """
 
     def __init__(
@@ -303,15 +318,17 @@ class VecSim:
             robots: names of the robots, see `robots`; None: those of the task.
             seed: of every random stream.
             threads: worker threads, 1 to 1024; None: one per core.
-            overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML syntax.
+            overrides: `key=value` pairs, the key dotted as in the task's file, the value in TOML
+                syntax.
             autoreset: "same_step", "next_step" or "disabled".
             dump_dir: see `set_dump_dir`.
-            share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit for bit, these rows
-                of the whole batch.
+            share: envs [start, end) of `num_envs` that are simulated here; None: all. They are, bit
+                for bit, these rows of the whole batch.
             slots: names of actions that the batch has on top of its robots' own.
 
         Raises:
-            ConfigError: for an unknown task, robot, slot, key or autoreset mode, and for a value out of range.
+            ConfigError: for an unknown task, robot, slot, key or autoreset mode, and for a value
+                out of range.
             RobotError: for a robot description that cannot be simulated.
         """
 
@@ -342,7 +359,8 @@ class VecSim:
     action_mask: npt.NDArray[np.bool_]
     """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
     is_padded: bool
-    """Whether some robots lack some of the action's columns, also robots whose envs are another worker's."""
+    """Whether some robots lack some of the action's columns, also robots whose envs are another
+    worker's."""
     task_name: str
     """Full name of the task."""
     experiment_name: str
@@ -363,19 +381,19 @@ class VecSim:
         """Terms of an observation group, in order, as JSON: a list of objects.
 
         `term`, `size`: name and number of numbers, those that the term remembers included.
-        `history_length`: control steps that it remembers, the present one included; the oldest numbers come first.
-        `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body: how the numbers are
-        mirrored.
-        `units`, `description`: what they say.
-        `source`: what the term is computed from on a robot: measured (given as it is), robot_constant (known of the
-        robot), center_of_mass_velocity, base_angular_velocity, projected_gravity, velocity_command, joint_position,
-        joint_position_minus_default, joint_velocity, last_action or height_scan.
-        `inputs`: what a robot's sensors have to give for it, as inputs of a folded graph.
-        `magnitude`: typical magnitude of the numbers, in `units`.
-        `blocks`: for the kind body, what consecutive numbers belong to: a list of {per, count}. `per` is body, length
-        (a distance between front and hind legs), width (between left and right legs), role (all numbers of the first
-        role, then those of the next) or joint (the first number of all joints, then the next number of all joints).
-        `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the result, and its factor.
+        `history_length`: control steps that it remembers, the present one included; the oldest
+        numbers come first. `kind`: scalar, vector, pseudovector, planar_velocity, per_joint,
+        per_foot, scan or body: how the numbers are mirrored. `units`, `description`: what they say.
+        `source`: what the term is computed from on a robot: measured (given as it is),
+        robot_constant (known of the robot), center_of_mass_velocity, base_angular_velocity,
+        projected_gravity, velocity_command, joint_position, joint_position_minus_default,
+        joint_velocity, last_action or height_scan. `inputs`: what a robot's sensors have to give
+        for it, as inputs of a folded graph. `magnitude`: typical magnitude of the numbers, in
+        `units`. `blocks`: for the kind body, what consecutive numbers belong to: a list of {per,
+        count}. `per` is body, length (a distance between front and hind legs), width (between left
+        and right legs), role (all numbers of the first role, then those of the next) or joint (the
+        first number of all joints, then the next number of all joints). `offset`, `clip`, `scale`:
+        what the task subtracts from the source, the limits of the result, and its factor.
 
         Raises:
             UnknownNameError: for a group that the task does not have.
@@ -385,7 +403,8 @@ class VecSim:
         """Mirror image of an observation group, left and right exchanged: (index, sign) per number.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have, and for a group that the task does not have.
+            UnknownNameError: for a robot that the run does not have, and for a group that the task
+                does not have.
         """
 
     def action_mirror(self, robot: str) -> list[tuple[int, float]]:
@@ -403,7 +422,8 @@ class VecSim:
         Numbers of joints that it lacks are 0.
 
         Raises:
-            UnknownNameError: for a robot that the run does not have, or an unknown observation group.
+            UnknownNameError: for a robot that the run does not have, or an unknown observation
+                group.
         """
 
     def observation_shares(self, group: str = "policy") -> list[float]:
@@ -414,7 +434,10 @@ class VecSim:
         """
 
     def env_ids(self, robot: str) -> tuple[int, int]:
-        """The half-open range [start, stop) of the envs that hold `robot`. Raises UnknownNameError."""
+        """The half-open range [start, stop) of the envs that hold `robot`.
+
+        Raises UnknownNameError.
+        """
 
     def joint_map(self, robot: str) -> list[tuple[str, int]]:
         """Name and index of each slot's joint, in the order of the robot's slots.
@@ -427,16 +450,17 @@ class VecSim:
 
         Mass (kg), joint names, default pose (rad), action scale (rad), gains, limits, ...
 
-        A limit that a joint lacks is null in `lower`, `upper` and `effort_limit`.
-        `slots`, `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its column of
-        the action, its joint, and whether the joint turns as the slot does (1) or the other way round (-1).
+        A limit that a joint lacks is null in `lower`, `upper` and `effort_limit`. `slots`,
+        `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its
+        column of the action, its joint, and whether the joint turns as the slot does (1) or the
+        other way round (-1).
         """
 
     def command_ranges(self) -> dict[str, dict[str, list[float]]]:
         """Command ranges per robot: the task's, within the robot's own limits.
 
-        {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward and left speed, m/s,
-        and yaw rate, rad/s, base frame.
+        {robot: {lin_vel_x: [low, high], lin_vel_y: [low, high], ang_vel_z: [low, high]}}: forward
+        and left speed, m/s, and yaw rate, rad/s, base frame.
         """
 
     def network_torques(
@@ -455,7 +479,8 @@ class VecSim:
             memory: [n, remembered], what the call before gave; None: zero, as after a reset.
 
         Returns:
-            Torques [n, joints], N m, before the actuators' limits, zero for joints without a network; and the memory.
+            Torques [n, joints], N m, before the actuators' limits, zero for joints without a
+            network; and the memory.
 
         Raises:
             ConfigError: for a robot that takes no part.
@@ -466,8 +491,9 @@ class VecSim:
     def robot_shapes(self) -> str:
         """JSON per robot: links, the base's centre of mass (m), contact bodies with their shapes.
 
-        {robot: {links, base_com, bodies: [{name, link, group, shapes: [{shape, ..., position, quaternion}]}]}}: sizes
-        in m; `link` is an index into `links`, and a shape's pose is in that link's frame.
+        {robot: {links, base_com, bodies: [{name, link, group, shapes: [{shape, ..., position,
+        quaternion}]}]}}: sizes in m; `link` is an index into `links`, and a shape's pose is in that
+        link's frame.
         """
 
     def qpos(self, robot: str) -> npt.NDArray[np.float64]:
@@ -500,7 +526,10 @@ class VecSim:
         """
 
     def contact_forces(self, robot: str) -> npt.NDArray[np.float64]:
-        """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes. A copy."""
+        """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes.
+
+        A copy.
+        """
 
     def resolved_config(self) -> str:
         """TOML: the task and its robots after defaults and overrides."""
@@ -529,7 +558,10 @@ class VecSim:
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """[num_envs, num_obs]. Two buffers alternate: this one stays as it is until the step after the next one."""
+        """[num_envs, num_obs].
+
+        Two buffers alternate: this one stays as it is until the step after the next one.
+        """
 
     def observation_of(self, group: str) -> npt.NDArray[np.float32]:
         """[num_envs, n], an observation group: a view as stable as `observation`.
@@ -567,8 +599,8 @@ class VecSim:
     def state(self, field: str) -> npt.NDArray[np.float32]:
         """One quantity of every robot, float32 [num_envs, n], gathered now: a copy, yours to keep.
 
-        The fields are the properties of `polypod.State`, which says what they hold. A broken state is gathered as
-        zeros.
+        The fields are the properties of `polypod.State`, which says what they hold. A broken state
+        is gathered as zeros.
 
         Raises:
             ValueError: for a field that does not exist.
@@ -577,7 +609,8 @@ class VecSim:
     def terminate(self, mask: npt.NDArray[np.bool_]) -> None:
         """Ends the episodes of the envs in the mask, bool [num_envs], as failed in the last step.
 
-        `terminated`, `truncated` and the log count them as if a termination of the task had; `reset` them next.
+        `terminated`, `truncated` and the log count them as if a termination of the task had;
+        `reset` them next.
 
         Raises:
             ConfigError: with any autoreset but "disabled".
@@ -588,8 +621,9 @@ class VecSim:
 
         Zeros where each env has separate ground.
 
-        Their x and y are what positions of `qpos` and `link_pose` are relative to; z is the height of the ground there
-        (those positions count from the world's zero). A reset may move an env to another tile.
+        Their x and y are what positions of `qpos` and `link_pose` are relative to; z is the height
+        of the ground there (those positions count from the world's zero). A reset may move an env
+        to another tile.
         """
 
     def terrain(self) -> TerrainEntry | None:
@@ -616,7 +650,10 @@ class VecSim:
         """[num_envs, 3], commanded velocity in the base frame: x, y (m/s), yaw rate (rad/s)."""
 
     def set_command(self, command: npt.NDArray[np.float32] | None) -> None:
-        """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller. None releases them."""
+        """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller.
+
+        None releases them.
+        """
 
     def push(self, velocity: npt.NDArray[np.float32]) -> None:
         """Adds a velocity to the base of each robot, as a push does.
@@ -660,8 +697,9 @@ class VecSim:
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
         """Per robot, over the episodes that ended since the statistics were last cleared.
 
-        Keys: episodes, falls, fall_rate, episode_length_s (s), error_vel_xy (m/s), error_vel_yaw (rad/s), command_xy
-        (m/s), command_yaw (rad/s), reward_per_s. The command's means are the errors of standing still.
+        Keys: episodes, falls, fall_rate, episode_length_s (s), error_vel_xy (m/s), error_vel_yaw
+        (rad/s), command_xy (m/s), command_yaw (rad/s), reward_per_s. The command's means are the
+        errors of standing still.
         """
 
     def take_logs(self) -> bytes:
@@ -678,8 +716,9 @@ class VecSim:
 
         None switches dumps off.
 
-        A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`. A robot of which a
-        state was dumped before is left out. A dump that cannot be written stops nothing.
+        A state breaks when it becomes non-finite or runs away; its episode ends as `illegal_state`.
+        A robot of which a state was dumped before is left out. A dump that cannot be written stops
+        nothing.
 
         Raises:
             ConfigError: for a path with a zero byte.
@@ -697,15 +736,15 @@ class VecSim:
 class Simulation:
     """Physics without a task: robots of one kind, any tree of links of a URDF, one per env.
 
-    Generalised positions `qpos` are the base's position in the world (3, m), its quaternion (w, x, y, z) and the
-    joints' positions (rad or m) in the order of `joint_names`; velocities `qvel` are the linear velocity of the base's
-    origin in world axes (3, m/s), its angular velocity in base axes (3, rad/s) and the joints'. A fixed base has joints
-    only.
+    Generalised positions `qpos` are the base's position in the world (3, m), its quaternion (w, x,
+    y, z) and the joints' positions (rad or m) in the order of `joint_names`; velocities `qvel` are
+    the linear velocity of the base's origin in world axes (3, m/s), its angular velocity in base
+    axes (3, rad/s) and the joints'. A fixed base has joints only.
 
-    Arrays that are handed out are float64 copies. Arguments may be anything that NumPy makes an array of numbers of,
-    with one row per env, or one row for all envs; where it says so one number for all joints. Every trajectory is the
-    same, bit for bit, for any number of threads and envs and on any instruction set. A state that diverges holds NaN
-    from then on, in its own env only.
+    Arrays that are handed out are float64 copies. Arguments may be anything that NumPy makes an
+    array of numbers of, with one row per env, or one row for all envs; where it says so one number
+    for all joints. Every trajectory is the same, bit for bit, for any number of threads and envs
+    and on any instruction set. A state that diverges holds NaN from then on, in its own env only.
     """
 
     def __init__(
@@ -736,26 +775,34 @@ class Simulation:
         """Loads the robot and puts one into each env, at rest in `default_qpos`.
 
         Args:
-            robot: a robot of the library (its gains, rotor inertias, springs, surfaces, effort limits, motors and
-                default pose come along, its delays do not), the path of a robot's `.toml`, or the path of a URDF
-                (gains 0; effort limits, joint limits, damping and friction as in the URDF).
+            robot: a robot of the library (its gains, rotor inertias, springs, surfaces, effort
+                limits, motors and default pose come along, its delays do not), the path of a
+                robot's `.toml`, or the path of a URDF (gains 0; effort limits, joint limits,
+                damping and friction as in the URDF).
             num_envs: number of envs.
             dt: physics step, s.
             ground: "plane", through the world's origin, or None.
             gravity: world axes, m/s^2.
-            engine: "articulated", or "avian": rigid bodies of Avian with joints between them (single precision,
-                revolute joints).
-            fixed_base: fix the base to the world, its frame upon the world's; it then feels no ground.
+            engine: "articulated", or "avian": rigid bodies of Avian with joints between them
+                (single precision, revolute joints).
+            fixed_base: fix the base to the world, its frame upon the world's; it then feels no
+                ground.
             package_dirs: folder of each package in `package://<package>/...` mesh names.
-            locked_joints: position (rad or m) of each joint that is held: it becomes part of its parent link. Joints of
-                a URDF that mimic others are held in any case, with a warning.
-            friction: coefficient of robot and ground combined, or (static, dynamic); surfaces of a robot multiply it.
-            torsional_friction: torque about a contact's normal per normal force, m; of ground contacts.
-            rolling_friction: torque across a contact's normal per normal force, m; of ground contacts.
+            locked_joints: position (rad or m) of each joint that is held: it becomes part of its
+                parent link. Joints of a URDF that mimic others are held in any case, with a
+                warning.
+            friction: coefficient of robot and ground combined, or (static, dynamic); surfaces of a
+                robot multiply it.
+            torsional_friction: torque about a contact's normal per normal force, m; of ground
+                contacts.
+            rolling_friction: torque across a contact's normal per normal force, m; of ground
+                contacts.
             restitution: coefficient of robot and ground combined, from 0 to 1.
-            armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the robot's, 0 for a URDF.
-            self_collision: whether a robot's links collide with one another, but for those joined by a joint or
-                touching in the default pose. None: as the robot's config says, no for a URDF.
+            armature: reflected rotor inertia, kg m^2, one number or [num_joints]. None: the
+                robot's, 0 for a URDF.
+            self_collision: whether a robot's links collide with one another, but for those joined
+                by a joint or touching in the default pose. None: as the robot's config says, no for
+                a URDF.
             ground_normal: normal of the ground plane, of any length.
             solver_iterations: sweeps of the articulated engine's contact solver per physics step.
             avian_substeps: substeps of the engine "avian" per physics step.
@@ -777,7 +824,10 @@ class Simulation:
 
     @property
     def link_names(self) -> list[str]:
-        """Links, as in the URDF: the base, then what each joint moves. Links fixed to another are part of it."""
+        """Links, as in the URDF: the base, then what each joint moves.
+
+        Links fixed to another are part of it.
+        """
 
     @property
     def num_joints(self) -> int:
@@ -824,7 +874,8 @@ class Simulation:
 
         For a URDF zero, or the limit nearest to it.
 
-        The base is level, with its lowest collision shape touching the ground; without ground it is at the origin.
+        The base is level, with its lowest collision shape touching the ground; without ground it is
+        at the origin.
         """
 
     @property
@@ -878,7 +929,8 @@ class Simulation:
             env_ids: the n envs. None: all.
 
         Raises:
-            ValueError: for another shape, a number that is not finite, a quaternion of zeros, an env that is none.
+            ValueError: for another shape, a number that is not finite, a quaternion of zeros, an
+                env that is none.
         """
 
     def step(
@@ -897,17 +949,21 @@ class Simulation:
         Arrays are a number, [num_joints] or [num_envs, num_joints].
 
         Args:
-            torque: joint efforts, N m or N, applied as they are within the limits of effort and motor.
-            targets: joint positions that the gains pull to, rad or m. With neither of both the joints are passive.
+            torque: joint efforts, N m or N, applied as they are within the limits of effort and
+                motor.
+            targets: joint positions that the gains pull to, rad or m. With neither of both the
+                joints are passive.
             kp: stiffness, N m/rad; kept for later steps.
             kd: damping, N m s/rad; kept for later steps.
             effort_limit: largest effort, N m or N, infinity for none; kept for later steps.
-            implicit: True: the gains act on the end of each physics step, which is stable with any gains. False: on its
-                beginning, as a motor controller at that rate would. None: as the robot's config says, else implicitly.
+            implicit: True: the gains act on the end of each physics step, which is stable with any
+                gains. False: on its beginning, as a motor controller at that rate would. None: as
+                the robot's config says, else implicitly.
             n: number of steps, all with the same targets or torques.
 
         Raises:
-            ValueError: for another shape, a number that is not finite, torque together with targets.
+            ValueError: for another shape, a number that is not finite, torque together with
+                targets.
         """
 
     def link_pose(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -915,8 +971,8 @@ class Simulation:
 
         Returns [num_envs, num_links, 3], m, and [num_envs, num_links, 4].
 
-        In the world; quaternions are (w, x, y, z) with w >= 0. This and the following are computed in double precision
-        from the present state.
+        In the world; quaternions are (w, x, y, z) with w >= 0. This and the following are computed
+        in double precision from the present state.
         """
 
     def link_velocity(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -935,7 +991,8 @@ class Simulation:
         """Accelerations [num_envs, nv] without contacts, limits, damping and friction.
 
         Args:
-            torque: [num_joints], [num_envs, num_joints], or generalised forces [nv], [num_envs, nv].
+            torque: [num_joints], [num_envs, num_joints], or generalised forces [nv], [num_envs,
+                nv].
         """
 
     def inverse_dynamics(self, qacc: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -996,7 +1053,10 @@ class Simulation:
     def set_friction(
         self, static: npt.ArrayLike, dynamic: npt.ArrayLike | None = None, env_ids: npt.ArrayLike | None = None
     ) -> None:
-        """Sets friction coefficients, robot and ground combined: a number or [n]. `dynamic` None: as `static`."""
+        """Sets friction coefficients, robot and ground combined: a number or [n].
+
+        `dynamic` None: as `static`.
+        """
 
     def set_gains(
         self,
@@ -1004,7 +1064,10 @@ class Simulation:
         kd: npt.ArrayLike | None = None,
         env_ids: npt.ArrayLike | None = None,
     ) -> None:
-        """Sets stiffness, N m/rad, and damping, N m s/rad: a number, [num_joints], [n, num_joints]. None: as it is."""
+        """Sets stiffness, N m/rad, and damping, N m s/rad: a number, [num_joints], [n, num_joints].
+
+        None: as it is.
+        """
 
     def set_armature(self, armature: npt.ArrayLike, env_ids: npt.ArrayLike | None = None) -> None:
         """Sets reflected rotor inertias, kg m^2: a number, [num_joints] or [n, num_joints]."""
@@ -1016,7 +1079,10 @@ class Simulation:
         """
 
     def restore(self, data: bytes) -> None:
-        """Returns to a `snapshot` of an equal simulation. Raises ConfigError for any other bytes."""
+        """Returns to a `snapshot` of an equal simulation.
+
+        Raises ConfigError for any other bytes.
+        """
 
 def tasks() -> list[TaskEntry]:
     """Tasks of `POLYPOD_PATH` and bundled ones, without those of `broken_configs`."""
@@ -1057,8 +1123,8 @@ def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides:
 def play_task(task: str) -> str:
     """The name of a task's Play variant: without noise, pushes, randomisation and curriculum.
 
-    It is the task of that name, where there is a file for it, or else one that is made by the same rule. A Play variant
-    is its own.
+    It is the task of that name, where there is a file for it, or else one that is made by the same
+    rule. A Play variant is its own.
 
     Args:
         task: name, alias or path of a task.
@@ -1081,8 +1147,8 @@ def disturbances(task: str, overrides: Sequence[str] = ...) -> list[str]:
 
     An example is `events.push_robot.enabled`.
 
-    Each set to false, by an override, leaves a task that only draws how episodes begin and what is commanded. The list
-    of a Play variant is empty.
+    Each set to false, by an override, leaves a task that only draws how episodes begin and what is
+    commanded. The list of a Play variant is empty.
 
     Raises:
         UnknownNameError: for a name that does not exist.
@@ -1090,10 +1156,16 @@ def disturbances(task: str, overrides: Sequence[str] = ...) -> list[str]:
     """
 
 def task_robots(task: str, overrides: Sequence[str] = ...) -> list[str]:
-    """Names or paths of a task's robots. Raises UnknownNameError and ConfigError as `disturbances`."""
+    """Names or paths of a task's robots.
+
+    Raises UnknownNameError and ConfigError as `disturbances`.
+    """
 
 def train_configs() -> list[TrainEntry]:
-    """All training configs, by name. Raises ConfigError for a folder of `POLYPOD_PATH` that cannot be read."""
+    """All training configs, by name.
+
+    Raises ConfigError for a folder of `POLYPOD_PATH` that cannot be read.
+    """
 
 def with_overrides(config: str, overrides: Sequence[str]) -> str:
     """Writes overrides into a config, by the rules of `VecSim`'s.
@@ -1106,7 +1178,8 @@ def with_overrides(config: str, overrides: Sequence[str]) -> str:
         The changed tables as TOML.
 
     Raises:
-        ConfigError: for a table or element that does not exist, and for a value that cannot be read.
+        ConfigError: for a table or element that does not exist, and for a value that cannot be
+            read.
     """
 
 def robot_urdf(name: str) -> str:
@@ -1119,8 +1192,8 @@ def check(
 ) -> str:
     """Description of a URDF file: links, joints, contact bodies, legs, and every warning.
 
-    `package_dirs` names the folder of each ROS package in `package://` names, `locked_joints` the position (rad or m)
-    of each joint that is held. Raises RobotError.
+    `package_dirs` names the folder of each ROS package in `package://` names, `locked_joints` the
+    position (rad or m) of each joint that is held. Raises RobotError.
     """
 
 def draft_robot(
@@ -1136,14 +1209,18 @@ def draft_robot(
 ) -> RobotDraft:
     """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
 
-    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`), `package_dirs` the folder
-    of each ROS package in `package://` names, `feet` the link that is the foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`,
-    `R`) and `joint_roles` the joint of a slot where geometry alone does not tell, `locked_joints` the position (rad or
-    m) of each joint that is held; `gain_factor` multiplies the gains. Raises RobotError.
+    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`),
+    `package_dirs` the folder of each ROS package in `package://` names, `feet` the link that is the
+    foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`) and `joint_roles` the joint of a slot where
+    geometry alone does not tell, `locked_joints` the position (rad or m) of each joint that is
+    held; `gain_factor` multiplies the gains. Raises RobotError.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
-    """The ground of a task. Raises ConfigError where it is a plane, UnknownNameError for an unknown task."""
+    """The ground of a task.
+
+    Raises ConfigError where it is a plane, UnknownNameError for an unknown task.
+    """
 
 def share_of_worker(num_envs: int, worker: int, workers: int) -> tuple[int, int]:
     """The envs [start, end) of `num_envs` that a worker simulates: whole blocks of 16 or more.

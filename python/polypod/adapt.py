@@ -1,7 +1,8 @@
 """From a policy that does not walk with a robot to one that does: `polypod adapt`.
 
-A short training that begins with the policy, of the robot alone or with robots that are described most like it, and
-ends when the robot walks. Measuring and stopping are `polypod.training.goal`, training is `polypod.training.session`.
+A short training that begins with the policy, of the robot alone or with robots that are described
+most like it, and ends when the robot walks. Measuring and stopping are `polypod.training.goal`,
+training is `polypod.training.session`.
 """
 
 import contextlib
@@ -87,7 +88,8 @@ class Result:
     robot: str
     """How to find the robot again: its name, or the path of its config."""
     checkpoint: Path
-    """The best one: the policy that it began with where no training was needed or none got better."""
+    """The best one: the policy that it began with where no training was needed or none got
+    better."""
     before: Mapping[str, Walking]
     after: Mapping[str, Walking]
     walks: bool
@@ -222,7 +224,8 @@ def _changes(
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
     if robot.endswith(".toml") and nearest:
-        # a draft names a set of another task; the robot that is described most like it has this task's
+        # a draft names a set of another task; the robot that is described most like it has this
+        # task's
         sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
         (like,) = tomllib.loads(sim.resolved_config())["robots"].values()
         of_robot = [f"robot_overrides.{name}.reward_set={like['reward_set']}"]

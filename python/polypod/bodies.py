@@ -2,10 +2,11 @@
 
 Quadrupeds, bipeds, humanoids and hexapods of drawn lengths.
 
-Lengths, densities, stances and drives are drawn, and the rest follows from them. A body's mass grows with the cube of
-its leg's length, and a link's share with the link's length. Gains, efforts and speeds are shares of weight and leg
-length. The ranges of the lengths are about those of a thousand published bodies (Velythyl/embodiment-scaling-laws,
-BSD-3-Clause); the robots of the library lie within all ranges.
+Lengths, densities, stances and drives are drawn, and the rest follows from them. A body's mass
+grows with the cube of its leg's length, and a link's share with the link's length. Gains, efforts
+and speeds are shares of weight and leg length. The ranges of the lengths are about those of a
+thousand published bodies (Velythyl/embodiment-scaling-laws, BSD-3-Clause); the robots of the
+library lie within all ranges.
 """
 
 import dataclasses
@@ -123,8 +124,9 @@ class Body:
 def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> Body:
     """Draws a body of one of `KINDS`. The same generator state gives the same body.
 
-    With `wide`, quadrupeds also differ in what makers choose in different ways: where the thigh hangs on the hip, joint
-    limits, weak and strong motors, slow and fast ones, dry friction, and soft and stiff gains.
+    With `wide`, quadrupeds also differ in what makers choose in different ways: where the thigh
+    hangs on the hip, joint limits, weak and strong motors, slow and fast ones, dry friction, and
+    soft and stiff gains.
     """
     makers = {
         "quadruped": lambda: _quadruped(name, rng, abduction=True, wide=wide),
@@ -162,7 +164,8 @@ def generate(
         wide: see `draw`.
 
     Raises:
-        ConfigError: for an unknown kind or a bad prefix, or where the folder holds files already or cannot be written.
+        ConfigError: for an unknown kind or a bad prefix, or where the folder holds files already or
+            cannot be written.
     """
     if seed < 0:
         raise _core.ConfigError(f"the seed {seed} is negative; pass 0 or more")

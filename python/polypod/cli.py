@@ -63,8 +63,9 @@ def main(arguments: Sequence[str]) -> int:
 
     Returns the exit code: 0, 2 for bad input, 1 for internal errors, 130 after Ctrl-C.
 
-    `sim2sim`, `robustness` and `deploy check` return 3 for a policy that does not hold its bounds, `adapt` and
-    `train --until-walks` for one that does not walk. `train` and `adapt` return 143 after SIGTERM and 129 after SIGHUP.
+    `sim2sim`, `robustness` and `deploy check` return 3 for a policy that does not hold its bounds,
+    `adapt` and `train --until-walks` for one that does not walk. `train` and `adapt` return 143
+    after SIGTERM and 129 after SIGHUP.
     """
     if arguments and arguments[0] in _VERSION:
         # as in most programs, nothing else counts then

@@ -1,16 +1,17 @@
 """How far a body's description is from those that a policy was trained on.
 
-A body is described by the numbers of the observation term `joint_descriptors`: `DESCRIPTORS` of each joint, in the
-nominal body. A network of joints reads each number x in three ways, and so does the distance:
+A body is described by the numbers of the observation term `joint_descriptors`: `DESCRIPTORS` of
+each joint, in the nominal body. A network of joints reads each number x in three ways, and so does
+the distance:
 
 - x in deviations from the mean over all joints of the training bodies,
 - log(|x| + 0.01), in the same way,
 - how x differs from the mean of the robot's own joints, in deviations within the robot.
 
-Deviations count at least `LEAST_DEVIATION`. Two joints differ by the root of the mean square of their features'
-differences. Two bodies differ by the root of the mean square over the joints of one of the distance to the most similar
-joint of the other, the larger of both directions. The distance of a body is that to the nearest training body: 0 for a
-training body.
+Deviations count at least `LEAST_DEVIATION`. Two joints differ by the root of the mean square of
+their features' differences. Two bodies differ by the root of the mean square over the joints of one
+of the distance to the most similar joint of the other, the larger of both directions. The distance
+of a body is that to the nearest training body: 0 for a training body.
 """
 
 import base64
@@ -39,7 +40,8 @@ DESCRIPTORS = (
 )
 """Names of a joint's numbers, in order; docs/task.md has their units."""
 LEAST_DEVIATION = 0.1
-"""Deviation of a feature that counts, at least, so that numbers which all training bodies share can be compared."""
+"""Deviation of a feature that counts, at least, so that numbers which all training bodies share can
+be compared."""
 LOG_FLOOR = 0.01
 """Least magnitude that a logarithm tells from zero, as in a network of joints."""
 

@@ -121,16 +121,19 @@ class LoadedPolicy:
 def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None = None) -> LoadedPolicy:
     """Loads a policy; nothing in the file is executed.
 
-    Weights of a network of joints know no slots: it is made ready for the slots of the task and robots that are named.
+    Weights of a network of joints know no slots: it is made ready for the slots of the task and
+    robots that are named.
 
     Args:
         path: a `model_<n>.pt` next to its manifest, a `.onnx`, or a bundled policy: flat, rough,
             legged or quadruped.
-        task: of an ONNX file that does not say so itself, and of a network of joints; others are taken at their word.
+        task: of an ONNX file that does not say so itself, and of a network of joints; others are
+            taken at their word.
         robots: names, as `task`; None: those that the file names, or those of the task.
 
     Raises:
-        ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin without `task`.
+        ConfigError: for a file that is missing or broken, and for an ONNX file of unknown origin
+            without `task`.
     """
     path = runs.resolve(Path(path))
     if path.suffix == ".onnx":
@@ -175,10 +178,12 @@ def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str
 def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path:
     """Writes a policy as an ONNX file that the commands take: `polypod eval --checkpoint FILE`.
 
-    The module stays as it is, in its mode and on its device, and torch's random numbers go on as without the call.
+    The module stays as it is, in its mode and on its device, and torch's random numbers go on as
+    without the call.
 
     Args:
-        module: takes observations [batch, num_obs], float32, and gives actions [batch, num_actions] as `env.step` takes
+        module: takes observations [batch, num_obs], float32, and gives actions [batch, num_actions]
+            as `env.step` takes
             them: what a learner does to either (normalisation, clipping) belongs into it.
         env: an env of the task and the robots that the policy was trained on.
         path: of the file; ends in `.onnx`.
@@ -187,7 +192,8 @@ def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path
         The path.
 
     Raises:
-        ConfigError: for another ending, for a module that fails or gives something else, and where onnx is missing.
+        ConfigError: for another ending, for a module that fails or gives something else, and where
+            onnx is missing.
         PolypodError: for a graph that does not compute what the module does.
     """
     path = Path(path)

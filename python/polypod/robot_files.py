@@ -11,7 +11,8 @@ def urdf_file(source: str, key: str) -> Path | None:
 
     Args:
         source: name of the robot, or path of its config.
-        key: `urdf` of its config: relative to the config, or to the folder that holds `configs/` and `assets/`.
+        key: `urdf` of its config: relative to the config, or to the folder that holds `configs/`
+            and `assets/`.
     """
     folders = [Path(folder) for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
     if source.endswith(".toml"):

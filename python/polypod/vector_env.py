@@ -56,32 +56,36 @@ class EnvOptions(TypedDict, total=False):
     copy: bool
     """Hands out fresh arrays rather than the simulator's own, see `VectorEnv`. True by default."""
     overrides: Overrides
-    """Changes to the task's configuration: a mapping, e.g. `{"sim.episode_length_s": 10.0}`, nested or with dotted
-    keys, or `key=value` texts, e.g. `["sim.episode_length_s=10.0"]`."""
+    """Changes to the task's configuration: a mapping, e.g. `{"sim.episode_length_s": 10.0}`, nested
+    or with dotted keys, or `key=value` texts, e.g. `["sim.episode_length_s=10.0"]`."""
     render_mode: str | None
-    """"rgb_array": `render` gives pictures, which needs the extra play. None, the default: it gives None."""
+    """"rgb_array": `render` gives pictures, which needs the extra play. None, the default: it gives
+    None."""
     share: tuple[int, int] | None
-    """Envs [start, end) of `num_envs` that are simulated here; another process has the others. They are, bit for bit,
-    these rows of the whole batch. None, the default: all."""
+    """Envs [start, end) of `num_envs` that are simulated here; another process has the others. They
+    are, bit for bit, these rows of the whole batch. None, the default: all."""
     dump_dir: str | os.PathLike[str] | None
-    """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps it again.
-    None, the default: no dump."""
+    """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps
+    it again. None, the default: no dump."""
     slots: Sequence[str]
-    """Names of actions that the batch has on top of its robots' own: those of a policy that knows other robots too."""
+    """Names of actions that the batch has on top of its robots' own: those of a policy that knows
+    other robots too."""
 
 
 def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOptions]") -> "VectorEnv":
     """Builds a vector env.
 
     Args:
-        task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of its Gymnasium id.
-        num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous share. None: one env per
-            robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir and slots;
-            `EnvOptions` documents them.
+        task_id: name or alias of a task (see `polypod.tasks`), with or without the `polypod/` of
+            its Gymnasium id.
+        num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous
+            share. None: one env per robot.
+        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir
+            and slots; `EnvOptions` documents them.
 
     Raises:
-        ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of range.
+        ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of
+            range.
         TypeError: for an option that does not exist.
     """
     return VectorEnv(task_id, num_envs, **options)
@@ -90,7 +94,8 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
 def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOptions]") -> "VectorEnv":
     """`make` for `gymnasium.make_vec`, which passes `num_envs=1` when its caller gives none.
 
-    One env holds one robot. Where there are more robots, 1 stands for an env of each, with a warning that says so.
+    One env holds one robot. Where there are more robots, 1 stands for an env of each, with a
+    warning that says so.
     """
     if num_envs != 1:
         return make(task_id, num_envs, **options)
@@ -108,14 +113,15 @@ def make_for_gymnasium(task_id: str, num_envs: int, **options: "Unpack[EnvOption
 class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[Any]]):
     """Many legged robots that track velocity commands.
 
-    Arrays that are handed out are yours to keep. With `copy=False` they are the simulator's own and cost nothing: an
-    observation stays valid until the step after the next one (two buffers alternate), rewards and flags until the next
-    step. `polypod.rsl_rl.VecEnv` reads the simulator's own arrays either way.
+    Arrays that are handed out are yours to keep. With `copy=False` they are the simulator's own and
+    cost nothing: an observation stays valid until the step after the next one (two buffers
+    alternate), rewards and flags until the next step. `polypod.rsl_rl.VecEnv` reads the simulator's
+    own arrays either way.
 
-    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action is [num_envs, num_actions], one
-    number per canonical joint: the target is `default_pose + action_scale * action`. The action space ends where
-    targets would leave the limits of every robot's joint; actions beyond it are accepted, and the joint then stops at
-    its limit.
+    An observation is float32 [num_envs, num_obs], see `observation_layout`; an action is [num_envs,
+    num_actions], one number per canonical joint: the target is `default_pose + action_scale *
+    action`. The action space ends where targets would leave the limits of every robot's joint;
+    actions beyond it are accepted, and the joint then stops at its limit.
 
     Quadrupeds have twelve joints; a batch of different bodies has the joints of all of them, and
     `action_mask` says which an env's robot has. A missing joint is 0 in observations, and an action
@@ -240,8 +246,10 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             options: `reset_mask`, bool [num_envs]: the envs to reset; without it all are.
 
         Raises:
-            ConfigError: for an option that does not exist, and for a mask of another shape or without a single True.
-            TypeError: for a mask that is not a NumPy array of bools, and for a seed that is not one int.
+            ConfigError: for an option that does not exist, and for a mask of another shape or
+                without a single True.
+            TypeError: for a mask that is not a NumPy array of bools, and for a seed that is not one
+                int.
         """
         sim = self._ready("reset")
         if seed is not None:
@@ -266,12 +274,14 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         """Advances every env by one control step of `step_dt`.
 
         Args:
-            actions: [num_envs, num_actions], in the order of `canonical_joint_names`: an array of any float or int
-                type, a tensor on the CPU, or nested lists. float32 in C order is not copied.
+            actions: [num_envs, num_actions], in the order of `canonical_joint_names`: an array of
+                any float or int type, a tensor on the CPU, or nested lists. float32 in C order is
+                not copied.
 
         Returns:
-            Observations, rewards, terminated, truncated and infos. In same-step mode the infos hold `final_obs`, an
-            object array with the last observation of each episode that ended, its mask `_final_obs`, and `final_info`.
+            Observations, rewards, terminated, truncated and infos. In same-step mode the infos hold
+            `final_obs`, an object array with the last observation of each episode that ended, its
+            mask `_final_obs`, and `final_info`.
 
         Raises:
             TypeError: for actions that are not numbers.
@@ -287,8 +297,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
         `recv` returns the results of `step`.
 
-        With two envs, one is simulated while the policy acts on the other's observations. Until `recv` nothing else of
-        this env may be used; arrays handed out before stay readable, as after a `step`.
+        With two envs, one is simulated while the policy acts on the other's observations. Until
+        `recv` nothing else of this env may be used; arrays handed out before stay readable, as
+        after a `step`.
 
         Args:
             actions: as in `step`; they are copied.
@@ -348,8 +359,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
         """Per robot, over the episodes that ended since the statistics were last cleared.
 
-        Keys: episodes, falls, fall_rate, episode_length_s, error_vel_xy (m/s), error_vel_yaw (rad/s), command_xy,
-        command_yaw (the same errors, had the robot stood still) and reward_per_s.
+        Keys: episodes, falls, fall_rate, episode_length_s, error_vel_xy (m/s), error_vel_yaw
+        (rad/s), command_xy, command_yaw (the same errors, had the robot stood still) and
+        reward_per_s.
         """
         return self.sim.episode_stats(clear)
 
@@ -357,7 +369,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         """Pictures of the present state.
 
         Returns:
-            For `render_mode="rgb_array"` one picture per env, each uint8 [360, 640, 3]; None without a render mode.
+            For `render_mode="rgb_array"` one picture per env, each uint8 [360, 640, 3]; None
+            without a render mode.
 
         Raises:
             ConfigError: where a package of the extra play is missing.
@@ -471,8 +484,8 @@ def _toml(value: Any, key: str) -> str:
 def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest actions, [num_actions] each: where targets reach the limits of a joint.
 
-    With several robots the wider limits count. Where a joint has no limit, half a turn from the default pose counts as
-    one. No bound is beyond what `step` takes.
+    With several robots the wider limits count. Where a joint has no limit, half a turn from the
+    default pose counts as one. No bound is beyond what `step` takes.
     """
     low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
     for numbers in json.loads(sim.robot_info()).values():

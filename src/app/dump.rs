@@ -1,6 +1,8 @@
-//! Dumps of broken states: files that hold all that is needed to step there again, and the replay of one.
+//! Dumps of broken states: files that hold all that is needed to step there again, and the replay
+//! of one.
 //!
-//! A dump depends on no other file: it holds the resolved task and robot, the URDF's text and the robot's own numbers.
+//! A dump depends on no other file: it holds the resolved task and robot, the URDF's text and the
+//! robot's own numbers.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -92,7 +94,8 @@ impl Dump {
         })
     }
 
-    /// Writes a file `broken_<robot>_env<id>_step<n>.polypod`, whole or not at all, and makes the directory if need be.
+    /// Writes a file `broken_<robot>_env<id>_step<n>.polypod`, whole or not at all, and makes the
+    /// directory if need be.
     ///
     /// # Errors
     /// The directory cannot be written to, or has a file of that name.
@@ -115,7 +118,8 @@ impl Dump {
     /// Steps the control step again, physics step by physics step.
     ///
     /// # Errors
-    /// The dump's task or robot means something else to this version of polypod, or the instruction set is not there.
+    /// The dump's task or robot means something else to this version of polypod, or the instruction
+    /// set is not there.
     pub fn replay(&self, simd: Option<Simd>) -> Result<Replay, Error> {
         let (mut sim, decimation) = self.sim(simd)?;
         let state = &self.state;
@@ -218,8 +222,8 @@ impl Dump {
         Ok(())
     }
 
-    /// The targets of a physics step as a simulation with one physics step per control step holds them: `age` counts
-    /// physics steps there, control steps in the dump.
+    /// The targets of a physics step as a simulation with one physics step per control step holds
+    /// them: `age` counts physics steps there, control steps in the dump.
     fn targets_in(&self, substep: usize, decimation: usize, ages: usize) -> JointTargets {
         let theirs = &self.state.targets.history;
         let history = (0..ages)

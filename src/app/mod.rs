@@ -63,9 +63,11 @@ impl Sim {
         Self::from_app(app)
     }
 
-    /// Makes a simulation of an app that has [`PolypodPlugins`], maybe some of them replaced, and [`SimOptions`] as a resource.
+    /// Makes a simulation of an app that has [`PolypodPlugins`], maybe some of them replaced, and
+    /// [`SimOptions`] as a resource.
     ///
-    /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of [`ControlStep`] run in each step.
+    /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of
+    /// [`ControlStep`] run in each step.
     ///
     /// # Errors
     /// Any fault of the options, the configs, the URDFs or the plugins.
@@ -87,12 +89,13 @@ impl Sim {
         Ok(sim)
     }
 
-    /// One control step of all envs with these actions, row-major `[num_envs, num_actions]`, in the columns of
-    /// [`slots`](Self::slots). An action for a joint that a robot lacks does nothing.
+    /// One control step of all envs with these actions, row-major `[num_envs, num_actions]`, in the
+    /// columns of [`slots`](Self::slots). An action for a joint that a robot lacks does nothing.
     ///
     /// # Errors
-    /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the simulation is then as it was. Or a
-    /// system failed: the sets of the pipeline after it have not run then.
+    /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the
+    /// simulation is then as it was. Or a system failed: the sets of the pipeline after it have not
+    /// run then.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
         let batch = self.batch();
         if actions.len() != batch.actions.len() {
@@ -121,7 +124,8 @@ impl Sim {
         Ok(())
     }
 
-    /// Which actions each env has, row-major `[num_envs, num_actions]`: its robot has a joint there.
+    /// Mask of the actions that each env's robot has a joint for, row-major `[num_envs,
+    /// num_actions]`.
     pub fn action_mask(&self) -> Vec<bool> {
         let (blocks, width) = (&self.world.resource::<BlockSizes>().0, self.batch().num_actions);
         let masks =
@@ -226,7 +230,8 @@ impl Sim {
         &self.world.resource::<Morphologies>().0
     }
 
-    /// The velocity commands of each robot, in the order of their blocks: the task's, within the robot's limits.
+    /// The velocity commands of each robot, in the order of their blocks: the task's, within the
+    /// robot's limits.
     pub fn velocity_commands(&self) -> &[VelocityCommandConfig] {
         &self.task().commands
     }
@@ -239,7 +244,8 @@ impl Sim {
     /// The ECS world.
     ///
     /// A component may be given to all entities of a kind and morphology, or to some where it has
-    /// `#[component(storage = "SparseSet")]`; the next step is refused otherwise, see [`blocks`](crate::blocks).
+    /// `#[component(storage = "SparseSet")]`; the next step is refused otherwise, see
+    /// [`blocks`](crate::blocks).
     pub fn world_mut(&mut self) -> &mut World {
         &mut self.world
     }

@@ -80,7 +80,8 @@ impl Sim {
     /// statistics of the episodes if it has the first env.
     ///
     /// # Errors
-    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
+    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation
+    /// is then as it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // check everything before anything is written
@@ -123,7 +124,8 @@ impl Sim {
         SavedComponents::measure(&mut self.world)
     }
 
-    /// The morphologies of `count` envs of the whole batch from env `first_env` on, as far as it has them.
+    /// The morphologies of `count` envs of the whole batch from env `first_env` on, as far as it
+    /// has them.
     fn morphologies_from(&self, first_env: u64, count: usize) -> Vec<Morphology> {
         let counts = self.share().counts.iter().enumerate();
         let all = counts.flat_map(|(morphology, &count)| std::iter::repeat_n(Morphology(morphology as u16), count));
@@ -137,7 +139,8 @@ impl Sim {
         (rows.end <= count).then_some(rows)
     }
 
-    /// Statistics of the episodes since they were last taken, as bytes for [`Sim::add_logs`] of the simulation of another share.
+    /// Statistics of the episodes since they were last taken, as bytes for [`Sim::add_logs`] of the
+    /// simulation of another share.
     ///
     /// # Errors
     /// When they cannot be encoded.

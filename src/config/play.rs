@@ -1,7 +1,8 @@
-//! Play variants: tasks for watching and measuring a policy, without noise, pushes, randomisation and curriculum.
+//! Play variants: tasks for watching and measuring a policy, without noise, pushes, randomisation
+//! and curriculum.
 //!
-//! A task may have a file for it: `Walk-Play-v0` belongs to `Walk-v0`. For all others the library makes one by the
-//! rule that the built-in files follow.
+//! A task may have a file for it: `Walk-Play-v0` belongs to `Walk-v0`. For all others the library
+//! makes one by the rule that the built-in files follow.
 
 use std::path::Path;
 
@@ -10,15 +11,16 @@ use toml::{Table, Value};
 use super::document::is_toml;
 use super::task::TaskConfig;
 
-/// Events that say how an episode begins and which bodies the envs have. All others disturb or randomise.
+/// Events that say how an episode begins and which bodies the envs have. All others disturb or
+/// randomise.
 const BEGINNINGS: [&str; 3] = ["reset_base", "reset_joints", "body_variation"];
-/// Most levels and columns of a made variant's terrain, and its highest level at the beginning: those of the built-in
-/// files.
+/// Most levels and columns of a made variant's terrain, and its highest level at the beginning:
+/// those of the built-in files.
 const ROWS: i64 = 5;
 const COLUMNS: i64 = 10;
 
-/// Name of a Play variant: `Walk-Play-v0` of `Walk-v0`, `walk_play` of `walk`, `walk_play.toml` of `walk.toml`. A
-/// name of a Play variant stays as it is.
+/// Name of a Play variant: `Walk-Play-v0` of `Walk-v0`, `walk_play` of `walk`, `walk_play.toml` of
+/// `walk.toml`. A name of a Play variant stays as it is.
 pub(super) fn play_name(task: &str) -> String {
     if training_name(task).is_some() {
         return task.to_owned();
@@ -91,8 +93,9 @@ fn switched_off<'a>(names: impl Iterator<Item = &'a str>) -> Table {
 }
 
 impl TaskConfig {
-    /// Keys that switch off the noise, the pushes and the randomisation of this task, of those that are on: set to
-    /// `false`, they leave a task that only draws how episodes begin and what is commanded. Empty for a Play variant.
+    /// Keys that switch off the noise, the pushes and the randomisation of this task, of those that
+    /// are on: set to `false`, they leave a task that only draws how episodes begin and what is
+    /// commanded. Empty for a Play variant.
     #[must_use]
     pub fn disturbances(&self) -> Vec<String> {
         let observations = &self.observations;

@@ -20,9 +20,10 @@ use super::surfaces::SurfaceConfig;
 use super::task::VelocityCommandConfig;
 use super::values;
 
-/// Data that a robot's URDF lacks: default pose, actuators, reset and randomisation. SI units. Canonical joints are
-/// named by limb and role, such as `LF_HFE` or `L_HIP_YAW`; their order is that of the policy's action, and their
-/// positive directions are those of [`Role`](crate::robot::Role), whichever way the URDF's axes turn.
+/// Data that a robot's URDF lacks: default pose, actuators, reset and randomisation. SI units.
+/// Canonical joints are named by limb and role, such as `LF_HFE` or `L_HIP_YAW`; their order is
+/// that of the policy's action, and their positive directions are those of
+/// [`Role`](crate::robot::Role), whichever way the URDF's axes turn.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
@@ -40,11 +41,12 @@ pub struct RobotConfig {
     /// Whether the robot's own links may collide with one another. Default: no.
     #[serde(default)]
     pub self_collisions: bool,
-    /// Why the robot cannot stand in its default pose without a policy. Default: it stands. No part of a resolved
-    /// task: it says something about the robot and sets nothing.
+    /// Why the robot cannot stand in its default pose without a policy. Default: it stands. No part
+    /// of a resolved task: it says something about the robot and sets nothing.
     #[serde(default, skip_serializing)]
     pub needs_policy: Option<String>,
-    /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical direction.
+    /// Joint angles of the default pose by canonical joint, rad; each joint, in the canonical
+    /// direction.
     #[serde(deserialize_with = "values::map_of::<Angle, _>")]
     pub default_pose: BTreeMap<String, f64>,
     /// Groups of actuators; every canonical joint is in exactly one.
@@ -64,14 +66,16 @@ pub struct RobotConfig {
     /// Canonical joint -> joint of the URDF, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_roles: BTreeMap<String, String>,
-    /// Canonical joint -> lowest and highest position, rad or m, of a joint that the URDF lets move farther than the robot does.
+    /// Canonical joint -> lowest and highest position, rad or m, of a joint that the URDF lets move
+    /// farther than the robot does.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub joint_limits: BTreeMap<String, [f64; 2]>,
-    /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot, where geometry alone
-    /// does not tell.
+    /// Leg (`LF`, `LH`, `RF`, `RH`; `L`, `R` of a biped) -> link of the URDF that is its foot,
+    /// where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub feet: BTreeMap<String, String>,
-    /// Surfaces of links that differ from the rest of the robot where they touch the ground, by a name for people.
+    /// Surfaces of links that differ from the rest of the robot where they touch the ground, by a
+    /// name for people.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub surfaces: BTreeMap<String, SurfaceConfig>,
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
@@ -114,15 +118,16 @@ pub struct ActuatorConfig {
         skip_serializing_if = "Option::is_none"
     )]
     pub effort_limit: Option<f64>,
-    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, other models may not.
+    /// Torque at standstill of a DC motor, N m; `dc_motor` needs it, networks may have it, other
+    /// models may not.
     #[serde(
         default,
         deserialize_with = "values::optional_of::<TorqueLimit, _, _>",
         skip_serializing_if = "Option::is_none"
     )]
     pub saturation_effort: Option<f64>,
-    /// Largest joint speed, rad/s; with `saturation_effort` it is needed: the motor's speed without load. Default: the
-    /// URDF's; none where that is 0.
+    /// Largest joint speed, rad/s; with `saturation_effort` it is needed: the motor's speed without
+    /// load. Default: the URDF's; none where that is 0.
     #[serde(
         default,
         deserialize_with = "values::optional_of::<JointSpeedLimit, _, _>",
@@ -156,15 +161,16 @@ pub struct ActuatorConfig {
     /// Joint angle at which the spring is at rest, in the canonical direction, rad. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Angle, _, _>", skip_serializing_if = "values::is_zero")]
     pub spring_reference: f64,
-    /// Let the gains act on the beginning of each physics step, as a motor controller at its rate would. Default: on
-    /// its end, which stays stable with any gains.
+    /// Let the gains act on the beginning of each physics step, as a motor controller at its rate
+    /// would. Default: on its end, which stays stable with any gains.
     #[serde(default)]
     pub explicit: bool,
-    /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`. Default: none.
+    /// Fewest and most physics steps by which targets come late, both included; only `delayed_pd`.
+    /// Default: none.
     #[serde(default)]
     pub delay: [u32; 2],
-    /// Largest torque over the joint angle in the canonical direction: rows of `[rad, N m]`, linear in between,
-    /// constant beyond the ends.
+    /// Largest torque over the joint angle in the canonical direction: rows of `[rad, N m]`, linear
+    /// in between, constant beyond the ends.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub effort_table: Vec<[f64; 2]>,
     /// ONNX file of a network that drives each joint of the group; looked for like the URDF.
@@ -219,7 +225,8 @@ pub enum InputOrder {
 pub enum ActuatorModel {
     /// Proportional-derivative control, clipped at the effort limit.
     IdealPd,
-    /// The same; Isaac Lab's name for gains that are integrated implicitly, as all are here by default.
+    /// The same; Isaac Lab's name for gains that are integrated implicitly, as all are here by
+    /// default.
     ImplicitPd,
     /// Proportional-derivative control, clipped by the torque-speed line of a DC motor.
     DcMotor,
@@ -299,7 +306,8 @@ impl CommandLimitsConfig {
     }
 }
 
-/// Limits of velocity commands, base frame. A task draws from the part of its ranges that lies within them.
+/// Limits of velocity commands, base frame. A task draws from the part of its ranges that lies
+/// within them.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VelocityLimitsConfig {
@@ -326,12 +334,12 @@ pub struct ResetConfig {
     /// Each of the six components of the base velocity, world frame, m/s and rad/s. Default: 0.
     #[serde(deserialize_with = "range_config::<BaseVelocity, _>")]
     pub base_velocity: RangeConfig,
-    /// Share of each joint's range, about its middle, that resets stay within. Default: 1. A joint without two limits
-    /// has no range: resets stay within the limit that it has.
+    /// Share of each joint's range, about its middle, that resets stay within. Default: 1. A joint
+    /// without two limits has no range: resets stay within the limit that it has.
     #[serde(deserialize_with = "values::fraction")]
     pub soft_limit_factor: f64,
-    /// Distance between the lowest foot of the default pose and the ground, and the least one of any collision shape
-    /// in any pose, m. Default: 0.02.
+    /// Distance between the lowest foot of the default pose and the ground, and the least one of
+    /// any collision shape in any pose, m. Default: 0.02.
     #[serde(deserialize_with = "values::number_of::<Rise, _, _>")]
     pub spawn_margin: f64,
 }
@@ -708,9 +716,9 @@ fn named(model: ActuatorModel) -> String {
     format!("\"{name}\"")
 }
 
-/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded as little as the
-/// grid's size allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to 1e-4. None where the grid would be
-/// too large.
+/// Steps of the coarsest equally spaced grid that holds the angles of an effort table, each rounded
+/// as little as the grid's size allows: to 1e-6 rad, which most files do themselves, to 1e-5 or to
+/// 1e-4. None where the grid would be too large.
 pub(crate) fn table_steps(rows: &[[f64; 2]]) -> Option<u64> {
     let divisor = |mut a: u64, mut b: u64| {
         while b > 0 {

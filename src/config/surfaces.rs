@@ -21,14 +21,16 @@ pub struct SurfaceConfig {
     /// Factor on the coefficients of sliding friction of robot and ground. Default: 1.
     #[serde(default = "one", deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub friction: f64,
-    /// Coefficient of torsional friction, m; the larger one of this and of the robot's and the ground's acts. Default: 0.
+    /// Coefficient of torsional friction, m; the larger one of this and of the robot's and the
+    /// ground's acts. Default: 0.
     #[serde(
         default,
         deserialize_with = "values::number_of::<FrictionLength, _, _>",
         skip_serializing_if = "values::is_zero"
     )]
     pub torsional_friction: f64,
-    /// Coefficient of rolling friction, m; the larger one of this and of the robot's and the ground's acts. Default: 0.
+    /// Coefficient of rolling friction, m; the larger one of this and of the robot's and the
+    /// ground's acts. Default: 0.
     #[serde(
         default,
         deserialize_with = "values::number_of::<FrictionLength, _, _>",

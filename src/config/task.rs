@@ -36,7 +36,8 @@ pub struct TaskConfig {
     /// How many shares of the envs each robot has, by its name; robots that are not named have one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty", deserialize_with = "values::env_shares")]
     pub env_shares: BTreeMap<String, u32>,
-    /// Changes of this task to robots' configs, by the robot's name: tables laid out like `configs/robots/*.toml`.
+    /// Changes of this task to robots' configs, by the robot's name: tables laid out like
+    /// `configs/robots/*.toml`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub robot_overrides: BTreeMap<String, Table>,
     /// Time and space.
@@ -64,7 +65,8 @@ pub struct TaskConfig {
     /// Changes of difficulty from episode to episode, by the term's name.
     #[serde(default)]
     pub curriculum: BTreeMap<String, CurriculumConfig>,
-    /// Reward sets: set name -> term name -> weight and parameters. A robot's `reward_set` picks one.
+    /// Reward sets: set name -> term name -> weight and parameters. A robot's `reward_set` picks
+    /// one.
     pub rewards: BTreeMap<String, BTreeMap<String, RewardConfig>>,
 }
 
@@ -122,7 +124,8 @@ pub const AVIAN_SUBSTEPS: usize = 8;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhysicsConfig {
-    /// Name of the engine: `articulated`, `avian`, or one that a plugin has added. Default: articulated.
+    /// Name of the engine: `articulated`, `avian`, or one that a plugin has added. Default:
+    /// articulated.
     pub engine: String,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
     #[serde(deserialize_with = "values::count_up_to::<MAX_SWEEPS, _>")]
@@ -133,11 +136,12 @@ pub struct PhysicsConfig {
     /// Fastest speed at which overlapping shapes are pushed apart, m/s. Default: 1.
     #[serde(deserialize_with = "values::number_of::<PushSpeed, _, _>")]
     pub max_depenetration_velocity: f64,
-    /// Share of the overlap that is pushed out in one physics step, as far as that speed allows. Default: 0.2.
+    /// Share of the overlap that is pushed out in one physics step, as far as that speed allows.
+    /// Default: 0.2.
     #[serde(deserialize_with = "values::fraction")]
     pub depenetration_rate: f64,
-    /// Whether every link of every robot is a kinematic body in Avian's world, too, for its queries, events and other
-    /// bodies. Default: no.
+    /// Whether every link of every robot is a kinematic body in Avian's world, too, for its
+    /// queries, events and other bodies. Default: no.
     pub mirror_links: bool,
 }
 
@@ -164,14 +168,16 @@ pub struct MaterialConfig {
     /// Coefficient of friction when sliding.
     #[serde(deserialize_with = "values::number_of::<FrictionCoefficient, _, _>")]
     pub dynamic_friction: f64,
-    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force. Default: 0.
+    /// Coefficient of torsional friction, m: torque about a contact's normal per normal force.
+    /// Default: 0.
     #[serde(
         default,
         deserialize_with = "values::number_of::<FrictionLength, _, _>",
         skip_serializing_if = "values::is_zero"
     )]
     pub torsional_friction: f64,
-    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force. Default: 0.
+    /// Coefficient of rolling friction, m: torque across a contact's normal per normal force.
+    /// Default: 0.
     #[serde(
         default,
         deserialize_with = "values::number_of::<FrictionLength, _, _>",
@@ -283,7 +289,8 @@ impl HeightScannerConfig {
         self.size.map(|length| ((length / self.resolution + 1e-9) as usize).saturating_add(1))
     }
 
-    /// Where the rays are about the base, m: from back to front and, row by row, from right to left.
+    /// Where the rays are about the base, m: from back to front and, row by row, from right to
+    /// left.
     #[must_use]
     pub fn rays(&self) -> Vec<[f32; 2]> {
         let [nx, ny] = self.counts();
@@ -359,8 +366,9 @@ pub struct ObservationTerm {
     /// Half width of the uniform noise on each element, in the term's units. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Noise, _, _>")]
     pub noise: f64,
-    /// Largest relative error of each element, drawn uniformly at the beginning of each episode. For terms that describe the
-    /// robot: they keep their numbers until the episode ends. Default: 0.
+    /// Largest relative error of each element, drawn uniformly at the beginning of each episode.
+    /// For terms that describe the robot: they keep their numbers until the episode ends. Default:
+    /// 0.
     #[serde(default, deserialize_with = "values::fraction", skip_serializing_if = "values::is_zero")]
     pub error: f64,
     /// Limits of the noisy numbers, in the term's units. Default: no limits.
@@ -373,7 +381,8 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers. Default: 1.
     #[serde(deserialize_with = "values::number_of::<Factor, _, _>", default = "one")]
     pub scale: f64,
-    /// How many control steps it remembers: the term's last numbers, the oldest first. Default: 1, the present one alone.
+    /// How many control steps it remembers: the term's last numbers, the oldest first. Default: 1,
+    /// the present one alone.
     #[serde(default = "one_step", skip_serializing_if = "is_one_step")]
     pub history_length: u32,
     /// The remaining keys, for [`parse_params`](super::parse_params).
@@ -393,7 +402,8 @@ pub struct EventConfig {
     /// Whether it happens at all. Default: yes.
     #[serde(default = "yes")]
     pub enabled: bool,
-    /// Time between two occurrences, drawn uniformly each time, s; with `mode = "interval"` and only then.
+    /// Time between two occurrences, drawn uniformly each time, s; with `mode = "interval"` and
+    /// only then.
     #[serde(
         default,
         deserialize_with = "values::optional_range_of::<Time, _, _>",
@@ -442,7 +452,8 @@ pub struct RewardConfig {
     /// Factor of the term's value, per second; 0 switches the term off.
     #[serde(deserialize_with = "values::number_of::<Weight, _, _>")]
     pub weight: f64,
-    /// Name of the term, where the key is not it: a set may have a term several times, for other joints say.
+    /// Name of the term, where the key is not it: a set may have a term several times, for other
+    /// joints say.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub term: Option<String>,
     /// The remaining keys, for [`parse_params`](super::parse_params).

@@ -6,7 +6,8 @@ use super::parameters::BodyNumbers;
 use super::settings::{IMPLICIT_STIFFNESS, STIFFNESS_LOOK_AHEAD, StepSettings};
 use super::state::{Drive, State, Workspace};
 
-/// Selects the position target that each actuator sees in a physics step: the one from `delay` physics steps ago.
+/// Selects the position target that each actuator sees in a physics step: the one from `delay`
+/// physics steps ago.
 #[inline(always)]
 pub(super) fn select_targets<S: Real>(
     topology: &Topology,
@@ -28,10 +29,12 @@ pub(super) fn select_targets<S: Real>(
     }
 }
 
-/// PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit (or its table over the position).
+/// PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit (or
+/// its table over the position).
 ///
-/// Inside the limits the gains act implicitly: their share of the velocity change goes to `effort_slope` and onto the
-/// mass matrix's diagonal. A saturated actuator gives its limit, explicitly, and so does an explicit one always.
+/// Inside the limits the gains act implicitly: their share of the velocity change goes to
+/// `effort_slope` and onto the mass matrix's diagonal. A saturated actuator gives its limit,
+/// explicitly, and so does an explicit one always.
 #[inline(always)]
 pub(super) fn actuate<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,

@@ -1,10 +1,11 @@
-//! Quantities of rigid-body dynamics for whoever asks: mass matrix, bias force, forward and inverse dynamics, Jacobians,
-//! energy, momentum. A step does not use them; they allocate and recompute the kinematics at each call. [`Scalar`](super::Scalar) hands
-//! them out.
+//! Quantities of rigid-body dynamics for whoever asks: mass matrix, bias force, forward and inverse
+//! dynamics, Jacobians, energy, momentum. A step does not use them; they allocate and recompute the
+//! kinematics at each call. [`Scalar`](super::Scalar) hands them out.
 //!
-//! Generalised vectors are in the order of `qvel`: linear velocity of the base's origin in world axes (3), angular
-//! velocity of the base in base axes (3), joints; a fixed base has joints only. Accelerations are the time derivatives of
-//! these components, and forces are those that do work on them.
+//! Generalised vectors are in the order of `qvel`: linear velocity of the base's origin in world
+//! axes (3), angular velocity of the base in base axes (3), joints; a fixed base has joints only.
+//! Accelerations are the time derivatives of these components, and forces are those that do work on
+//! them.
 
 use super::articulation::{JointMotion, Topology};
 use super::blocks::{BLOCK, gather, scatter};
@@ -34,9 +35,9 @@ pub struct Dynamics<'a, S: Real> {
 /// Motion of a link for the Newton-Euler recursion, in base axes.
 #[derive(Clone, Copy)]
 struct Motion<S> {
-    /// rad/s.
+    /// Angular velocity, rad/s.
     angular_velocity: Vec3<S>,
-    /// rad/s^2.
+    /// Angular acceleration, rad/s^2.
     angular_acceleration: Vec3<S>,
     /// Acceleration of the link's origin as an observer at rest sees it, less gravity, m/s^2.
     acceleration: Vec3<S>,
@@ -85,7 +86,8 @@ impl<S: Real> Dynamics<'_, S> {
         );
     }
 
-    /// The base's part of a generalised vector from the engine's order (angular, linear; base axes).
+    /// The base's part of a generalised vector from the engine's order (angular, linear; base
+    /// axes).
     fn base_to_qvel(&self, base: &[S; 6]) -> [S; 6] {
         let linear = mul_vec(&self.work.base_rotation, &[base[3], base[4], base[5]]);
         [linear[0], linear[1], linear[2], base[0], base[1], base[2]]
@@ -182,9 +184,10 @@ impl<S: Real> Dynamics<'_, S> {
 
     /// See [`Scalar::inverse_dynamics`](super::Scalar::inverse_dynamics).
     ///
-    /// Newton's and Euler's equations link by link (J. Luh, M. Walker, R. Paul, On-Line Computational Scheme for
-    /// Mechanical Manipulators, 1980), with ordinary accelerations and moments about each link's origin: shares neither
-    /// the mass matrix nor the spatial algebra of the step.
+    /// Newton's and Euler's equations link by link (J. Luh, M. Walker, R. Paul, On-Line
+    /// Computational Scheme for Mechanical Manipulators, 1980), with ordinary accelerations and
+    /// moments about each link's origin: shares neither the mass matrix nor the spatial algebra of
+    /// the step.
     pub(super) fn inverse_dynamics(&mut self, qacc: &[S]) -> Vec<S> {
         self.kinematics();
         let topology = self.topology;
@@ -224,7 +227,8 @@ impl<S: Real> Dynamics<'_, S> {
                 }
             });
         }
-        // force on each link, and moment about its origin, that its motion needs; then of all that it carries
+        // force on each link, and moment about its origin, that its motion needs; then of all that
+        // it carries
         let mut forces: Vec<(Vec3<S>, Vec3<S>)> = motions
             .iter()
             .enumerate()
@@ -345,7 +349,8 @@ impl<S: Real> Dynamics<'_, S> {
         add(&self.state.position, &mul_vec(&self.work.base_rotation, &self.base_com()))
     }
 
-    /// All links, with their spatial inertias; [`kinematics`](Self::kinematics) must have placed them.
+    /// All links, with their spatial inertias; [`kinematics`](Self::kinematics) must have placed
+    /// them.
     fn link_inertias(&self) -> impl Iterator<Item = (&LinkState<S>, SpatialInertia<S>)> {
         let inertia = |(link, at)| (at, kinematics::link_inertia(self.parameters, link, at));
         self.work.links.iter().enumerate().map(inertia)

@@ -62,8 +62,8 @@ pub struct JointTopology {
     pub axis: Axis,
     /// A table of effort limits over the joint position, if the actuator has one: equally spaced.
     pub effort_table: Option<EffortTable>,
-    /// Whether the actuator's gains act on the beginning of a physics step (as a motor controller at the step's rate
-    /// would) instead of on its end.
+    /// Whether the actuator's gains act on the beginning of a physics step (as a motor controller
+    /// at the step's rate would) instead of on its end.
     pub explicit: bool,
 }
 
@@ -96,7 +96,8 @@ impl EffortTable {
 pub enum ContactKind {
     /// A sphere (or, with radius 0, a corner) at a fixed place.
     Point,
-    /// A point on the rim of a cylinder's end: the lowest one, turned by a fixed angle about the cylinder's axis.
+    /// A point on the rim of a cylinder's end: the lowest one, turned by a fixed angle about the
+    /// cylinder's axis.
     Rim {
         /// Two unit vectors across the axis, in link axes.
         across: [[f64; 3]; 2],
@@ -157,15 +158,15 @@ pub struct ColliderTopology {
 pub struct PairTopology {
     /// Colliders: a capsule, then a capsule or a box.
     pub colliders: [usize; 2],
-    /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a separate contact, so that links can lie
-    /// against each other.
+    /// Parts of the capsule's axis, whose ends are -1 and 1: each part is a separate contact, so
+    /// that links can lie against each other.
     pub spans: &'static [[f64; 2]],
     /// Contact bodies of the two.
     pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
-    /// Path that holds the joints on the ways from both links to the base; and the side of each of its joints: 1 carries the
-    /// first link only, -1 the second only, 0 both.
+    /// Path that holds the joints on the ways from both links to the base; and the side of each of
+    /// its joints: 1 carries the first link only, -1 the second only, 0 both.
     pub(super) path: usize,
     pub(super) side: Vec<[f64; BLOCK]>,
 }
@@ -208,8 +209,8 @@ pub struct Topology {
     pub has_springs: bool,
     /// Whether contacts with the ground differ in friction.
     pub has_surfaces: bool,
-    /// Directions in which friction with the ground resists. Rows of torsional and rolling friction are built where it asks for them, whatever the
-    /// coefficients.
+    /// Directions in which friction with the ground resists. Rows of torsional and rolling friction
+    /// are built where it asks for them, whatever the coefficients.
     pub friction: ContactFriction,
     blocks: Blocks,
     /// `paths[link]`: the joints that carry the link; after the links' the paths of the pairs.
@@ -223,7 +224,8 @@ impl Topology {
     /// Builds the derived tables.
     ///
     /// # Panics
-    /// If a joint's parent is not an earlier link or contacts name links that do not exist; loaders guarantee both.
+    /// If a joint's parent is not an earlier link or contacts name links that do not exist; loaders
+    /// guarantee both.
     pub fn new(
         floating: bool,
         joints: Vec<JointTopology>,
@@ -262,8 +264,9 @@ impl Topology {
         }
     }
 
-    /// Lets pairs of `colliders` touch each other: a capsule and a capsule or box, and whether the first capsule is long
-    /// enough to touch in two points. Those of the same two links should stand together: they are then looked at together.
+    /// Lets pairs of `colliders` touch each other: a capsule and a capsule or box, and whether the
+    /// first capsule is long enough to touch in two points. Pairs of the same two links should
+    /// stand together: they are then tested together.
     ///
     /// # Panics
     /// If indices name colliders or links that do not exist; loaders guarantee that they do.
@@ -319,8 +322,8 @@ impl Topology {
         self.link_colliders.get(link).map_or(&[], |colliders| colliders)
     }
 
-    /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of the pairs, then with torsional or
-    /// rolling friction the angular impulse of each candidate.
+    /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of
+    /// the pairs, then with torsional or rolling friction the angular impulse of each candidate.
     pub fn num_impulses(&self) -> usize {
         self.num_contacts() + self.num_spins()
     }
@@ -363,8 +366,8 @@ impl Topology {
         self.joints.len() + 1
     }
 
-    /// The joints that carry a link, those of the nearest block first; with numbers from [`num_links`](Self::num_links) on those of
-    /// the pairs.
+    /// The joints that carry a link, those of the nearest block first; with numbers from
+    /// [`num_links`](Self::num_links) on those of the pairs.
     #[inline(always)]
     pub(super) fn path(&self, link: usize) -> &[PathPart] {
         &self.paths[link]
@@ -382,7 +385,8 @@ impl Topology {
         &self.blocks.trees
     }
 
-    /// The place of a link among those of its tree, after the links that carry it; that of the base is 0.
+    /// The place of a link among those of its tree, after the links that carry it; that of the base
+    /// is 0.
     #[inline(always)]
     pub(super) fn slot(&self, link: usize) -> usize {
         self.blocks.slots[link]

@@ -1,9 +1,10 @@
 //! The joints of a tree in blocks of three.
 //!
-//! The coupling of joints (the mass matrix, its factors, constraint rows) is laid out by blocks of a fixed size and
-//! worked on block by block: loops over a block are unrolled, and indices are computed once for nine numbers. A leg of three
-//! joints is one block. A block of fewer joints has places left over: the joints that are not there have the mass one, no
-//! coupling and no velocity, and change nothing.
+//! The coupling of joints (the mass matrix, its factors, constraint rows) is laid out by blocks of
+//! a fixed size and worked on block by block: loops over a block are unrolled, and indices are
+//! computed once for nine numbers. A leg of three joints is one block. A block of fewer joints has
+//! places left over: the joints that are not there have the mass one, no coupling and no velocity,
+//! and change nothing.
 
 use super::articulation::JointTopology;
 use super::lanes::Real;
@@ -50,7 +51,8 @@ pub(super) struct Blocks {
     pub(super) num_couplings: usize,
     /// The blocks of each tree that the base carries, in their order.
     pub(super) trees: Vec<Vec<usize>>,
-    /// The place of each link among those of its tree, which are counted from 1; that of the base is 0.
+    /// The place of each link among those of its tree, which are counted from 1; that of the base
+    /// is 0.
     pub(super) slots: Vec<usize>,
 }
 

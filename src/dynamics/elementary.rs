@@ -1,11 +1,13 @@
-//! Elementary functions of lanes and of single numbers, of IEEE operations only: the bits are the same on every machine.
+//! Elementary functions of lanes and of single numbers, of IEEE operations only: the bits are the
+//! same on every machine.
 //!
-//! All are of single precision. [`Real::sin_cos`] calls [`sin_cos`] for lanes and `f32`, and the standard library's for `f64`.
+//! All are of single precision. [`Real::sin_cos`] calls [`sin_cos`] for lanes and `f32`, and the
+//! standard library's for `f64`.
 
 use super::lanes::Real;
 
-/// Sine and cosine by range reduction to `[-pi/4, pi/4]` and minimax polynomials (the single-precision coefficients of
-/// the Cephes library); absolute error below 1.2e-7 for |x| < 1e4.
+/// Sine and cosine by range reduction to `[-pi/4, pi/4]` and minimax polynomials (the
+/// single-precision coefficients of the Cephes library); absolute error below 1.2e-7 for |x| < 1e4.
 #[inline(always)]
 pub(super) fn sin_cos<S: Real>(x: S) -> (S, S) {
     let quadrant = (x * S::splat(std::f64::consts::FRAC_2_PI)).round();
@@ -34,8 +36,8 @@ pub(super) fn sin_cos<S: Real>(x: S) -> (S, S) {
     (S::select(sin_negative, -s, s), S::select(cos_negative, -c, c))
 }
 
-/// `e^x`, relative error below 4e-7; zero below -87, `e^88` above 88. Range reduction and a polynomial (the single-precision
-/// coefficients of the Cephes library).
+/// `e^x`, relative error below 4e-7; zero below -87, `e^88` above 88. Range reduction and a
+/// polynomial (the single-precision coefficients of the Cephes library).
 #[inline(always)]
 pub fn exp<S: Real>(x: S) -> S {
     let least = S::splat(-87.0);
@@ -56,8 +58,8 @@ pub fn tanh_positive<S: Real>(x: S) -> S {
     (S::one() - e) / (S::one() + e)
 }
 
-/// Angle of the vector (x, y), rad; error below 1e-6. A polynomial on the first octant (Abramowitz and Stegun 4.4.49)
-/// and reflections, with IEEE operations only.
+/// Angle of the vector (x, y), rad; error below 1e-6. A polynomial on the first octant (Abramowitz
+/// and Stegun 4.4.49) and reflections, with IEEE operations only.
 #[inline(always)]
 pub fn atan2(y: f32, x: f32) -> f32 {
     use std::f32::consts::{FRAC_PI_2, PI};

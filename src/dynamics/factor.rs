@@ -1,11 +1,13 @@
 //! The joint-space mass matrix and its sparse factorisation.
 //!
-//! Rows of the mass matrix of a tree are zero except at a joint's ancestors, and eliminating joints from the leaves
-//! towards the base keeps it so (Featherstone 2008, section 6.5, "LTDL"). Legs do not fill each other in. Joints are held by
-//! [`blocks`](super::blocks) of three, and the base's six rows are one dense block that is eliminated last.
+//! Rows of the mass matrix of a tree are zero except at a joint's ancestors, and eliminating joints
+//! from the leaves towards the base keeps it so (Featherstone 2008, section 6.5, "LTDL"). Legs do
+//! not fill each other in. Joints are held by [`blocks`](super::blocks) of three, and the base's
+//! six rows are one dense block that is eliminated last.
 //!
-//! The diagonal is split evenly, `M = L^T D L = H^T H` with `H = D^1/2 L`: a constraint row and what its impulse changes are
-//! then the same numbers (see [`rows`](super::rows)), and kinetic energy is half the square of `H u`.
+//! The diagonal is split evenly, `M = L^T D L = H^T H` with `H = D^1/2 L`: a constraint row and
+//! what its impulse changes are then the same numbers (see [`rows`](super::rows)), and kinetic
+//! energy is half the square of `H u`.
 
 use super::articulation::Topology;
 use super::blocks::{BLOCK, Block};
@@ -18,8 +20,8 @@ use super::state::LinkState;
 pub struct Factor<S> {
     /// `[blocks]`.
     pub blocks: Vec<BlockFactor<S>>,
-    /// Couplings of a block with its carriers, `[joint of the block][joint of the carrier]`: `M[j][i]`, then `L[j][i]`, at
-    /// `first_coupling + c`.
+    /// Couplings of a block with its carriers, `[joint of the block][joint of the carrier]`:
+    /// `M[j][i]`, then `L[j][i]`, at `first_coupling + c`.
     pub couplings: Vec<[[S; BLOCK]; BLOCK]>,
     /// `D[j]^1/2` and its inverse, `[3 blocks]`.
     pub root: Vec<[S; 2]>,
@@ -55,7 +57,8 @@ impl<S: Real> Factor<S> {
         }
     }
 
-    /// The mass matrix's row of the joint at a place of a block, from the composite `inertia` of the link it moves.
+    /// The mass matrix's row of the joint at a place of a block, from the composite `inertia` of
+    /// the link it moves.
     #[inline(always)]
     pub fn set_joint(
         &mut self,

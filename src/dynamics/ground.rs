@@ -44,7 +44,8 @@ pub(super) fn splat_frame<S: Real>(plane: &Plane) -> [Vec3<S>; 3] {
     [splat(&frame[0]), splat(&frame[1]), splat(&frame[2])]
 }
 
-/// The lowest point of a candidate, in link axes about the link's origin; `up` is the world's up in link axes.
+/// The lowest point of a candidate, in link axes about the link's origin; `up` is the world's up in
+/// link axes.
 #[inline(always)]
 fn candidate_point<S: Real, B: BodyNumbers<S>>(
     parameters: B,
@@ -84,8 +85,9 @@ pub(super) fn candidate<S: Real, B: BodyNumbers<S>>(
     (local, origin_height + dot(up, &local) - parameters.contact_radius(contact))
 }
 
-/// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order; negative inside the
-/// ground, and empty where there is none. For tools and tests: a step finds its contacts itself.
+/// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order;
+/// negative inside the ground, and empty where there is none. For tools and tests: a step finds its
+/// contacts itself.
 pub fn candidate_gaps<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
@@ -109,14 +111,15 @@ pub fn candidate_gaps<S: Real, B: BodyNumbers<S>>(
     gaps.collect()
 }
 
-/// World position of a point that is given in base axes about the base's origin. `level` holds the world's z, x and y in base axes.
+/// World position of a point that is given in base axes about the base's origin. `level` holds the
+/// world's z, x and y in base axes.
 #[inline(always)]
 pub(super) fn world_place<S: Real>(level: &[Vec3<S>; 3], position: &Vec3<S>, place: &Vec3<S>) -> Vec3<S> {
     add(position, &[dot(&level[1], place), dot(&level[2], place), dot(&level[0], place)])
 }
 
-/// Gap of a sphere at the world position `place` above terrain, m, and normal and tangents there in base axes. `level` is that of
-/// [`world_place`].
+/// Gap of a sphere at the world position `place` above terrain, m, and normal and tangents there in
+/// base axes. `level` is that of [`world_place`].
 #[inline(always)]
 pub(super) fn on_terrain<S: Real>(
     terrain: &Terrain<S>,
@@ -125,7 +128,8 @@ pub(super) fn on_terrain<S: Real>(
     radius: S,
 ) -> (S, [Vec3<S>; 3]) {
     let (gap, n) = terrain.gap(place, radius);
-    // the x axis, laid onto the surface; the normal points up a little at least, so that it is never along x
+    // the x axis, laid onto the surface; the normal points up a little at least, so that it is
+    // never along x
     let along = [n[0].neg_mul_add(n[0], S::one()), -(n[0] * n[1]), -(n[0] * n[2])];
     let tangent = scale(&along, S::one() / along[0].sqrt());
     let (normal, tangent) = (to_base(level, &n), to_base(level, &tangent));

@@ -16,7 +16,8 @@ const NO_GROUND: f64 = 1e9;
 
 /// Finds the contacts near the ground and builds their rows.
 ///
-/// `free_base` is the velocity that the base would have without constraints, in base axes about its origin.
+/// `free_base` is the velocity that the base would have without constraints, in base axes about its
+/// origin.
 #[inline(always)]
 pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,

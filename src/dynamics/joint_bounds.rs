@@ -1,4 +1,5 @@
-//! Position limits, velocity limits and dry frictions that act on the joints in a physics step, and their targets.
+//! Position limits, velocity limits and dry frictions that act on the joints in a physics step, and
+//! their targets.
 
 use super::articulation::Topology;
 use super::blocks::BLOCK;
@@ -9,7 +10,8 @@ use super::rows::{BoundRow, ContactWork, NO_TARGET};
 use super::settings::{ContactSettings, SolverSettings};
 use super::state::{State, Workspace};
 
-/// Builds the rows of every block in which a joint is near a position limit or its velocity limit, or has Coulomb friction.
+/// Builds the rows of every block in which a joint is near a position limit or its velocity limit,
+/// or has Coulomb friction.
 ///
 /// `free` is the joints' velocity without constraints, `[blocks]`.
 #[inline(always)]
@@ -42,7 +44,8 @@ pub(super) fn build_joint_bounds<S: Real, B: BodyNumbers<S>>(
         for place in 0..shape.len {
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
             row.max_friction = parameters.joint_friction(j) * dt;
-            // the stored impulse is that of limit and friction together: friction takes as much of it as it can
+            // the stored impulse is that of limit and friction together: friction takes as much of
+            // it as it can
             row.friction_impulse = state.bound_impulse[j].clamp(-row.max_friction, row.max_friction);
             if block.limits {
                 set_limits(parameters, settings, inverse_dt, state, j, row, violation);
@@ -97,7 +100,8 @@ fn set_limits<S: Real, B: BodyNumbers<S>>(
     (row.lowest, row.highest, row.limit_impulse, row.push_impulse) = (no_target, -no_target, z, z);
     if row.limits {
         let (q, fastest) = (state.joint_position[j], parameters.velocity_limit(j));
-        // a violated limit is pushed back at a bounded speed; one ahead may be reached but not crossed
+        // a violated limit is pushed back at a bounded speed; one ahead may be reached but not
+        // crossed
         let (low, high) = (q - parameters.lower(j), parameters.upper(j) - q);
         let push = |past| push_speed(past, settings.solver.limit_slop, settings, inverse_dt);
         let (up, down) = (push(-low), push(-high));

@@ -1,5 +1,6 @@
-//! The border of the crate: every kernel is compiled here, once per type of number. Code of other crates calls these functions and
-//! compiles no kernel of its own, whatever types it is generic over. The unit tests of this crate test its parts and leave them out.
+//! The border of the crate: every kernel is compiled here, once per type of number. Code of other
+//! crates calls these functions and compiles no kernel itself, whatever types it is generic over.
+//! The unit tests of this crate test its parts and leave them out.
 
 use super::algorithms::Dynamics;
 use super::articulation::Topology;
@@ -15,7 +16,8 @@ use super::settings::ContactSettings;
 use super::state::{Report, State, Workspace};
 use super::step::ControlStep;
 
-/// A type of number that robots are stepped in: the lanes of an instruction set, or a single number.
+/// A type of number that robots are stepped in: the lanes of an instruction set, or a single
+/// number.
 pub trait Kernels: Lanes {
     /// One control step; [`ControlStep::run`] calls it.
     fn control_step(step: ControlStep<Self>);
@@ -77,8 +79,8 @@ control_step_kernels!(
 scalar_kernels! {
     /// Leaves positions, axes and velocities of all links in [`Workspace::links`].
     ///
-    /// `position` and `velocity` are those of the joints, rad and rad/s, `[joints]`; `base_velocity` is in base axes about the base's
-    /// origin.
+    /// `position` and `velocity` are those of the joints, rad and rad/s, `[joints]`;
+    /// `base_velocity` is in base axes about the base's origin.
     fn forward_kinematics(
         topology: &Topology,
         parameters: &Parameters<Self>,
@@ -104,8 +106,8 @@ scalar_kernels! {
     /// Distance of the two links of a pair of placed colliders, m, negative when they overlap.
     fn pair_gap(topology: &Topology, work: &Workspace<Self>, pair: usize) -> Self = self_contact::pair_gap;
 
-    /// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order, negative inside the ground; empty
-    /// where there is none.
+    /// Distance of each contact candidate from the ground, m, `[contacts]` in the topology's order,
+    /// negative inside the ground; empty where there is none.
     fn candidate_gaps(
         topology: &Topology,
         parameters: &Parameters<Self>,
@@ -117,23 +119,27 @@ scalar_kernels! {
     /// Mass matrix, armature included: symmetric, row-major `[nv, nv]`.
     fn mass_matrix(body: &mut Dynamics<Self>) -> Vec<Self> = Dynamics::mass_matrix;
 
-    /// Bias force `c`, `[nv]`: `M qacc + c = force`. Holds gravity and the velocity terms (MuJoCo's `qfrc_bias`), no passive damping.
+    /// Bias force `c`, `[nv]`: `M qacc + c = force`. Holds gravity and the velocity terms (MuJoCo's
+    /// `qfrc_bias`), no passive damping.
     fn bias_force(body: &mut Dynamics<Self>) -> Vec<Self> = Dynamics::bias_force;
 
-    /// Acceleration `[nv]` that a generalised force `[nv]` causes without contacts, joint bounds, damping and friction.
+    /// Acceleration `[nv]` that a generalised force `[nv]` causes without contacts, joint bounds,
+    /// damping and friction.
     ///
     /// # Panics
     /// If `force` is shorter than [`num_dofs`](Dynamics::num_dofs).
     fn forward_dynamics(body: &mut Dynamics<Self>, force: &[Self]) -> Vec<Self> = Dynamics::forward_dynamics;
 
-    /// Generalised force `[nv]` that causes an acceleration `[nv]` in the present state, armature included.
+    /// Generalised force `[nv]` that causes an acceleration `[nv]` in the present state, armature
+    /// included.
     ///
     /// # Panics
     /// If `qacc` is shorter than [`num_dofs`](Dynamics::num_dofs).
     fn inverse_dynamics(body: &mut Dynamics<Self>, qacc: &[Self]) -> Vec<Self> = Dynamics::inverse_dynamics;
 
-    /// Jacobian of a point of a link, row-major `[6, nv]`: its linear velocity, then the link's angular velocity, both in world axes.
-    /// `point` is in the link's (base-aligned) axes about its origin, m.
+    /// Jacobian of a point of a link, row-major `[6, nv]`: its linear velocity, then the link's
+    /// angular velocity, both in world axes. `point` is in the link's (base-aligned) axes about its
+    /// origin, m.
     ///
     /// # Panics
     /// If there is no such link.
@@ -145,17 +151,19 @@ scalar_kernels! {
     /// If there is no such link.
     fn link_pose(body: &mut Dynamics<Self>, link: usize) -> (Vec3<Self>, Mat3<Self>) = Dynamics::link_pose;
 
-    /// Velocity of a link's origin, m/s, and angular velocity of the link, rad/s, both in world axes.
+    /// Velocity of a link's origin, m/s, and angular velocity of the link, rad/s, both in world
+    /// axes.
     ///
     /// # Panics
     /// If there is no such link.
     fn link_velocity(body: &mut Dynamics<Self>, link: usize) -> (Vec3<Self>, Vec3<Self>) = Dynamics::link_velocity;
 
-    /// Kinetic energy, that of the rotors (armature) included, and potential energy in uniform gravity, zero for a mass at the world's
-    /// origin, J.
+    /// Kinetic energy, that of the rotors (armature) included, and potential energy in uniform
+    /// gravity, zero for a mass at the world's origin, J.
     fn energy(body: &mut Dynamics<Self>) -> (Self, Self) = Dynamics::energy;
 
-    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, in world axes; without rotors.
+    /// Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s, in world
+    /// axes; without rotors.
     fn momentum(body: &mut Dynamics<Self>) -> (Vec3<Self>, Vec3<Self>) = Dynamics::momentum;
 
     /// Centre of mass in the world, m.

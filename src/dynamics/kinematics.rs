@@ -10,7 +10,8 @@ use super::math::{
 use super::parameters::BodyNumbers;
 use super::state::{LinkDynamics, LinkState, Workspace};
 
-/// Rotation matrix `r` followed by a turn of `angle` about one of its axes, and that axis in the outer frame.
+/// Rotation matrix `r` followed by a turn of `angle` about one of its axes, and that axis in the
+/// outer frame.
 #[inline(always)]
 fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
     // a turn about a coordinate axis mixes the two other columns
@@ -57,7 +58,8 @@ fn turned<S: Real>(r: &Mat3<S>, axis: Axis, angle: S) -> (Mat3<S>, Vec3<S>) {
     }
 }
 
-/// Sets the links' free velocities to those that joint velocities, `[blocks]`, give them against the base.
+/// Sets the links' free velocities to those that joint velocities, `[blocks]`, give them against
+/// the base.
 #[inline(always)]
 pub(super) fn free_links<S: Real>(topology: &Topology, velocity: &[[S; BLOCK]], links: &mut [LinkState<S>]) {
     links[0].free_velocity = Spatial::zero();
@@ -79,7 +81,8 @@ fn direction<S: Real>(r: &Mat3<S>, axis: Axis) -> Vec3<S> {
 
 /// Positions, axes and velocities of all links.
 ///
-/// `base_velocity` is in base axes about the base origin. `position` and `velocity` are the joints'.
+/// `base_velocity` is in base axes about the base origin. `position` and `velocity` are the
+/// joints'.
 #[inline(always)]
 pub fn forward_kinematics<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -150,7 +153,8 @@ pub fn link_inertia<S: Real, B: BodyNumbers<S>>(parameters: B, link: usize, at: 
     SpatialInertia::new(parameters.mass(link), &com, &inertia)
 }
 
-/// The force that a link's motion and gravity ask for, by Newton's and Euler's equations about its centre of mass `com`.
+/// The force that a link's motion and gravity ask for, by Newton's and Euler's equations about its
+/// centre of mass `com`.
 #[inline(always)]
 fn link_force<S: Real>(
     mass: S,
@@ -166,17 +170,19 @@ fn link_force<S: Real>(
     Spatial { ang: cross_add(com, &lin, &torque), lin }
 }
 
-/// Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree, each from the base to the leaves and
-/// back, so that what a leg needs is at hand.
+/// Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree,
+/// each from the base to the leaves and back, so that what a leg needs is at hand.
 ///
-/// Bias forces are what the present motion asks for at zero acceleration, by the recursive Newton-Euler algorithm
-/// (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into `bias_base` and `bias_joint`. The mass matrix is that of
-/// the composite-rigid-body algorithm (table 6.2), with `armature` on the joints' diagonal; into the factor. The base's inertia is
+/// Bias forces are what the present motion asks for at zero acceleration, by the recursive
+/// Newton-Euler algorithm (Featherstone, Rigid Body Dynamics Algorithms, 2008, table 5.1); into
+/// `bias_base` and `bias_joint`. The mass matrix is that of the composite-rigid-body algorithm
+/// (table 6.2), with `armature` on the joints' diagonal; into the factor. The base's inertia is
 /// composite afterwards: that of the whole robot.
 ///
-/// The base's acceleration is the classical one of its origin in inertial axes. That makes the result independent of
-/// the base's linear velocity (Galilean invariance), which link velocities therefore leave out: of the base's motion they have the
-/// `turning` alone. `gravity` is in base axes, `position` and `velocity` are the joints'.
+/// The base's acceleration is the classical one of its origin in inertial axes. This makes the
+/// result independent of the base's linear velocity (Galilean invariance), which link velocities
+/// therefore leave out: of the base's motion they have the `turning` alone. `gravity` is in base
+/// axes, `position` and `velocity` are the joints'.
 #[inline(always)]
 pub fn equations_of_motion<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,

@@ -7,8 +7,8 @@
 )]
 #![allow(rustdoc::private_intra_doc_links, reason = "the README explains the private modules too")]
 
-// Each public name has one path: types stand at the root, functions of numbers in `elementary`, of vectors in `math`, and what
-// depends on instruction sets in `lanes`.
+// Each public name has one path: types stand at the root, functions of numbers in `elementary`, of
+// vectors in `math`, and what depends on instruction sets in `lanes`.
 
 mod actuators;
 mod algorithms;

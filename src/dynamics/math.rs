@@ -171,7 +171,8 @@ impl<S: Real> Spatial<S> {
         [self.ang[0], self.ang[1], self.ang[2], self.lin[0], self.lin[1], self.lin[2]]
     }
 
-    /// Velocity of the point of a body that is at `point`, where `self` is the body's motion about the origin.
+    /// Velocity of the point of a body that is at `point`, where `self` is the body's motion about
+    /// the origin.
     #[inline(always)]
     pub fn at(&self, point: &Vec3<S>) -> Vec3<S> {
         add(&self.lin, &cross(&self.ang, point))
@@ -227,7 +228,8 @@ impl<S: Real> SpatialInertia<S> {
         Self { mass: S::zero(), moment: [S::zero(); 3], inertia: [S::zero(); 6] }
     }
 
-    /// Spatial inertia of a body with mass, centre of mass `c` and inertia about `c`, all in base axes.
+    /// Spatial inertia of a body with mass, centre of mass `c` and inertia about `c`, all in base
+    /// axes.
     #[inline(always)]
     pub fn new(mass: S, c: &Vec3<S>, about_com: &Sym3<S>) -> Self {
         let h = scale(c, mass);

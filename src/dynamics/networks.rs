@@ -1,7 +1,9 @@
-//! Actuator networks: efforts from the joints' position errors and velocities, evaluated for the robots of a pack side by side.
+//! Actuator networks: efforts from the joints' position errors and velocities, evaluated for the
+//! robots of a pack side by side.
 //!
-//! A [`NetworkProgram`] is a list of instructions over features. Every feature is a number per joint of the network and per lane. All
-//! sums run in the order of the inputs, one fused multiply-add after the other, so the bits depend on nothing but a robot's own numbers.
+//! A [`NetworkProgram`] is a list of instructions over features. Every feature is a number per
+//! joint of the network and per lane. All sums run in the order of the inputs, one fused
+//! multiply-add after the other, so the bits depend on nothing but a robot's own numbers.
 
 use super::articulation::Topology;
 use super::elementary::{exp, tanh_positive};
@@ -61,7 +63,7 @@ pub enum Operation {
     Div,
 }
 
-/// A step of a [`NetworkProgram`]. What it writes, it overwrites.
+/// A step of a [`NetworkProgram`]. It overwrites its outputs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Instruction {
     /// Writes the same numbers for every joint.
@@ -138,8 +140,9 @@ pub struct NetworkProgram {
 }
 
 impl NetworkProgram {
-    /// A program that begins with its `inputs` in the first ones of `features`, remembers `memory` numbers of each joint from one
-    /// physics step to the next, and leaves its result in feature `output`. None where an instruction reaches beyond these.
+    /// A program that begins with its `inputs` in the first ones of `features`, remembers `memory`
+    /// numbers of each joint from one physics step to the next, and leaves its result in feature
+    /// `output`. None where an instruction reaches beyond these.
     pub fn new(
         inputs: usize,
         features: usize,
@@ -201,8 +204,8 @@ pub struct ActuatorNetwork {
 }
 
 impl ActuatorNetwork {
-    /// A network for some joints. Its output times `effort_scale` is the effort, N m. None without joints, and where the program takes another
-    /// number of inputs.
+    /// A network for some joints. Its output times `effort_scale` is the effort, N m. None without
+    /// joints, and where the program takes another number of inputs.
     pub fn new(
         joints: Vec<usize>,
         inputs: Vec<NetworkInput>,
@@ -224,8 +227,8 @@ impl ActuatorNetwork {
         &self.joints
     }
 
-    /// Numbers that it remembers from one physics step to the next, for all its joints: past errors and velocities, then those of the
-    /// program. They are zero when an episode begins.
+    /// Numbers that it remembers from one physics step to the next, for all its joints: past errors
+    /// and velocities, then those of the program. They are zero when an episode begins.
     pub fn num_remembered(&self) -> usize {
         (2 * self.past + self.program.memory) * self.joints.len()
     }
@@ -253,8 +256,8 @@ pub struct NetworkStep<'a, S: Real> {
     pub substep: usize,
     /// Where the robots are.
     pub state: &'a State<S>,
-    /// Has the targets, and is given the networks' efforts as feed-forward. An effort that is not finite leaves no finite force on the
-    /// base, so that the state breaks.
+    /// Has the targets, and is given the networks' efforts as feed-forward. An effort that is not
+    /// finite leaves no finite force on the base, so that the state breaks.
     pub drive: &'a mut Drive<S>,
     /// Memory of the networks, one after the other: [`ActuatorNetwork::num_remembered`] each.
     pub memory: &'a mut [S],
@@ -300,12 +303,14 @@ impl<S: Real> Kernel<S> for NetworkStep<'_, S> {
     }
 }
 
-/// Joints that are computed together: their features stay in the first-level cache, and their sums in registers.
+/// Joints that are computed together: their features stay in the first-level cache, and their sums
+/// in registers.
 const JOINTS: usize = 4;
 /// Outputs of a layer that are computed together.
 const OUTPUTS: usize = 4;
 
-/// Writes the efforts of a network's joints, and adds what is not a number to `broken` in lanes where an effort is not finite.
+/// Writes the efforts of a network's joints, and adds what is not a number to `broken` in lanes
+/// where an effort is not finite.
 #[inline(always)]
 fn drive_joints<S: Real>(
     network: &ActuatorNetwork,
@@ -381,7 +386,8 @@ fn drive_block<S: Real, const C: usize>(
     }
 }
 
-/// `memory` is that of the program, `[numbers, count]`, and holds the block's joints from `block` on.
+/// `memory` is that of the program, `[numbers, count]`, and holds the block's joints from `block`
+/// on.
 #[inline(always)]
 fn evaluate<S: Real, const C: usize>(
     instruction: &Instruction,

@@ -1,4 +1,5 @@
-//! The numbers of bodies: [`Parameters`], of one or of all in a pack, and how kernels read them, [`BodyNumbers`].
+//! The numbers of bodies: [`Parameters`], of one or of all in a pack, and how kernels read them,
+//! [`BodyNumbers`].
 
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +15,8 @@ macro_rules! parameters {
     ) => {
         /// The numbers of one body (`S = f32` or `f64`) or of a pack of bodies (`S` a lane type).
         ///
-        /// Frames: every link's axes are parallel to the base's when all joints are at zero. Clones share what neither changes.
+        /// Frames: every link's axes are parallel to the base's when all joints are at zero. Clones
+        /// share what neither changes.
         #[derive(Clone, Debug, Serialize, Deserialize)]
         pub struct Parameters<S> {
             $( $(#[$doc])* pub $name: SharedArray<$t>, )*
@@ -23,8 +25,8 @@ macro_rules! parameters {
 
         /// The numbers of the bodies in a pack as kernels read them.
         pub trait BodyNumbers<S: Real>: Copy {
-            /// Whether torsional and rolling friction act, and surfaces of contacts differ. Kernels without them are compiled without
-            /// their rows and numbers.
+            /// Whether torsional and rolling friction act, and surfaces of contacts differ. Kernels
+            /// without them are compiled without their rows and numbers.
             const FULL_FRICTION: bool = false;
             $(
                 /// See [`Parameters`].
@@ -83,14 +85,15 @@ macro_rules! parameters {
         }
 
         impl<S: Real> Parameters<S> {
-            /// Calls `f` on every number together with its counterpart in `other`, which must have the same sizes.
+            /// Calls `f` on every number together with its counterpart in `other`, which must have
+            /// the same sizes.
             pub fn zip_with<T: Real>(&mut self, other: &Parameters<T>, mut f: impl FnMut(&mut S, &T)) {
                 $( $visit::zip(&mut self.$name, &other.$name, &mut f); )*
                 $( f(&mut self.$one, &other.$one); )*
             }
 
-            /// Whether `f` says yes to any number together with its counterpart in `other`, which must have the same sizes; those
-            /// after the first yes are not asked.
+            /// Whether `f` says yes to any number together with its counterpart in `other`, which
+            /// must have the same sizes; those after the first yes are not asked.
             pub fn any_with<T: Real>(&self, other: &Parameters<T>, mut f: impl FnMut(&S, &T) -> bool) -> bool {
                 false $( || $visit::any(&self.$name, &other.$name, &mut f) )* $( || f(&self.$one, &other.$one) )*
             }
@@ -100,7 +103,8 @@ macro_rules! parameters {
                 true $( && self.$name.len() == other.$name.len() )*
             }
 
-            /// Whether the first lane differs from a kind's body in nothing but what [`UniformParameters`] bodies have of their own.
+            /// Whether the first lane differs from the morphology's body only in numbers that
+            /// [`UniformParameters`] keep per env.
             pub fn is_alike<T: Real>(&self, kind: &Parameters<T>) -> bool {
                 let mut differ = |x: &S, y: &T| x.lane_f32(0).to_bits() != y.lane_f32(0).to_bits();
                 true $( && !$visit::any(&self.$name[$own..], &kind.$name[$own..], &mut differ) )*
@@ -117,8 +121,8 @@ macro_rules! parameters {
                 $( self.$one.set_lane(lane, scalars.$one.lane(0)); )*
             }
 
-            /// Calls `f` with some of all numbers, and which of the `places` it is: these ascend and count in the order in which
-            /// [`zip_with`](Self::zip_with) comes to the numbers.
+            /// Calls `f` with some of all numbers, and which of the `places` it is: these ascend
+            /// and count in the order in which [`zip_with`](Self::zip_with) comes to the numbers.
             pub fn for_each_at(&mut self, places: &[u32], mut f: impl FnMut(usize, &mut S)) {
                 let mut first = 0;
                 let mut left = places.iter().enumerate().peekable();
@@ -140,7 +144,8 @@ macro_rules! parameters {
                 debug_assert!(left.next().is_none(), "there are {first} numbers");
             }
 
-            /// Shares the memory of the lists that hold the same numbers in another body of the same sizes.
+            /// Shares the memory of the lists that hold the same numbers in another body of the
+            /// same sizes.
             pub fn share(&mut self, other: &Self) {
                 let mut differ = |x: &S, y: &S| (0..S::LANES).any(|k| x.lane(k).to_bits() != y.lane(k).to_bits());
                 $(
@@ -153,8 +158,8 @@ macro_rules! parameters {
     };
 }
 
-/// Bodies of a pack that differ only in their bases' mass properties and their surfaces. The numbers that they have in
-/// common are held once, not once per lane.
+/// Bodies of a pack that differ only in their bases' mass properties and their surfaces. The
+/// numbers that they have in common are held once, not once per lane.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformParameters<'a, S> {
     /// Parameters of the morphology, which the bodies share.
@@ -167,7 +172,8 @@ pub(super) struct UniformParameters<'a, S> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FullFrictionParameters<'a, S>(pub(super) &'a Parameters<S>);
 
-/// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the base's, the first.
+/// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the
+/// base's, the first.
 const BASE: usize = 1;
 /// Number of entries of other lists that differ between them.
 const NONE: usize = 0;
@@ -233,7 +239,8 @@ parameters! {
         stiffness: S, list, NONE;
         /// Actuator damping, N m s/rad, `[joints]`.
         damping: S, list, NONE;
-        /// Largest actuator effort, N m, `[joints]`; multiplies the effort table where there is one.
+        /// Largest actuator effort, N m, `[joints]`; multiplies the effort table where there is
+        /// one.
         effort_limit: S, list, NONE;
         /// Stall effort of a DC motor, N m, `[joints]`.
         saturation_effort: S, list, NONE;
@@ -245,8 +252,8 @@ parameters! {
         joint_damping: S, list, NONE;
         /// Coulomb friction, N m, `[joints]`.
         joint_friction: S, list, NONE;
-        /// Stiffness, N m/rad, and position at rest, rad, of a joint's passive spring, `[joints]`; empty without
-        /// [`has_springs`](Topology::has_springs).
+        /// Stiffness, N m/rad, and position at rest, rad, of a joint's passive spring, `[joints]`;
+        /// empty without [`has_springs`](Topology::has_springs).
         spring: [S; 2], arrays, NONE;
         /// Lower position limit, rad, `[joints]`.
         lower: S, list, NONE;
@@ -260,15 +267,18 @@ parameters! {
         contact_radius: S, list, NONE;
         /// Rim radius of a contact candidate, m, `[contacts]`.
         contact_rim: S, list, NONE;
-        /// Surface of a contact candidate on the ground: the factor on the coefficients of sliding friction, and the least coefficients of
-        /// torsional and rolling friction, m, `[contacts]`; empty without [`has_surfaces`](Topology::has_surfaces).
+        /// Surface of a contact candidate on the ground: the factor on the coefficients of sliding
+        /// friction, and the least coefficients of torsional and rolling friction, m, `[contacts]`;
+        /// empty without [`has_surfaces`](Topology::has_surfaces).
         contact_friction: Vec3<S>, arrays, NONE;
-        /// The box along a link's axes that holds all its contact candidates and colliders: its centre in the link's frame, then half edge
-        /// lengths, m, `[links]`. One list, since a list costs every env 16 bytes.
+        /// The box along a link's axes that holds all its contact candidates and colliders: its
+        /// centre in the link's frame, then half edge lengths, m, `[links]`. One list, since a list
+        /// costs every env 16 bytes.
         link_box: [S; 6], arrays, NONE;
         /// Centre of a collider in its link's frame, m, `[colliders]`.
         collider_centre: Vec3<S>, arrays, NONE;
-        /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a box, m, `[colliders]`.
+        /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a
+        /// box, m, `[colliders]`.
         collider_half: Vec3<S>, arrays, NONE;
         /// Radius of a capsule, m, `[colliders]`.
         collider_radius: S, list, NONE;
@@ -282,9 +292,11 @@ parameters! {
         dynamic_friction;
         /// Restitution coefficient (robot and ground combined).
         restitution;
-        /// Coefficient of torsional friction (robot and ground combined), m; read where the topology's friction asks for it.
+        /// Coefficient of torsional friction (robot and ground combined), m; read where the
+        /// topology's friction asks for it.
         torsional_friction;
-        /// Coefficient of rolling friction (robot and ground combined), m; read where the topology's friction asks for it.
+        /// Coefficient of rolling friction (robot and ground combined), m; read where the
+        /// topology's friction asks for it.
         rolling_friction;
     }
 }

@@ -6,15 +6,15 @@ use super::lanes::Real;
 use super::math::{Mat3, Vec3, add, add_scaled, dot, mul_vec, mul_vec_transposed, scale, sub};
 use super::settings::{MIN_SQUARED_LENGTH, SEGMENT_HALVINGS};
 
-/// Two shapes nearest to each other: the distance of their surfaces (negative when they overlap), the unit normal from
-/// the second to the first, and the middle between the nearest points.
+/// Two shapes nearest to each other: the distance of their surfaces (negative when they overlap),
+/// the unit normal from the second to the first, and the middle between the nearest points.
 #[derive(Clone, Copy, Debug)]
 pub struct Proximity<S> {
-    /// m.
+    /// Distance of the surfaces, m.
     pub gap: S,
     /// Unit vector.
     pub normal: Vec3<S>,
-    /// m.
+    /// Middle between the nearest points, m.
     pub point: Vec3<S>,
 }
 
@@ -25,7 +25,7 @@ pub struct Capsule<S> {
     pub centre: Vec3<S>,
     /// From the middle to an end, m; zero makes a sphere.
     pub half: Vec3<S>,
-    /// m.
+    /// Radius, m.
     pub radius: S,
 }
 
@@ -53,9 +53,9 @@ impl<S: Real> Proximity<S> {
     }
 }
 
-/// Where two capsules come nearest: places on their axes, whose ends are -1 and 1, on that of the first between `from` and `to`
-/// (the nearest points of two segments: Ericson, Real-Time Collision Detection, 2005, section 5.1.9, with parallel segments taken at
-/// the middle of that part).
+/// Where two capsules come nearest: places on their axes, whose ends are -1 and 1, on that of the
+/// first between `from` and `to` (the nearest points of two segments: Ericson, Real-Time Collision
+/// Detection, 2005, section 5.1.9, with parallel segments taken at the middle of that part).
 #[inline(always)]
 pub fn nearest_on_capsules<S: Real>(a: &Capsule<S>, [from, to]: [f64; 2], b: &Capsule<S>) -> [S; 2] {
     let (one, tiny) = (S::one(), S::splat(MIN_SQUARED_LENGTH));
@@ -106,8 +106,8 @@ fn rounded<S: Real>(on_a: &Vec3<S>, on_b: &Vec3<S>, radius_a: S, radius_b: S) ->
     Proximity { gap, normal, point: add_scaled(&surface, &normal, gap * S::splat(0.5)) }
 }
 
-/// Whether a capsule (first) comes within `margin` of a box about the origin on each of the box's axes; if not, it does
-/// not come within it at all.
+/// Whether a capsule (first) comes within `margin` of a box about the origin on each of the box's
+/// axes; if not, it does not come within it at all.
 #[inline(always)]
 pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> S::Mask {
     let reach = a.radius + margin;
@@ -118,18 +118,21 @@ pub fn may_touch_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, margin: S) -> 
     apart.lt(reach)
 }
 
-/// Half of how the squared distance of a point of a capsule's axis from a box changes along the axis.
+/// Half of how the squared distance of a point of a capsule's axis from a box changes along the
+/// axis.
 #[inline(always)]
 fn slope_to_box<S: Real>(a: &Capsule<S>, t: S, box_half: &Vec3<S>) -> S {
     let p = add_scaled(&a.centre, &a.half, t);
     dot(&sub(&p, &clamped(&p, box_half)), &a.half)
 }
 
-/// Where on a capsule's axis, whose ends are -1 and 1, it comes nearest to a box about the origin with half edge lengths `box_half`
-/// along its axes: on either half of the axis with `halves`, else on all of it, and the two are the same.
+/// Where on a capsule's axis, whose ends are -1 and 1, it comes nearest to a box about the origin
+/// with half edge lengths `box_half` along its axes: on either half of the axis with `halves`, else
+/// on all of it, and the two are the same.
 ///
-/// Found by halving the range in which the distance still falls. Along a line the distance to a box falls and then rises: one half
-/// of the axis is nearest in the middle, and only the other is searched.
+/// Found by halving the range in which the distance still falls. Along a line the distance to a box
+/// falls and then rises: one half of the axis is nearest in the middle, and only the other is
+/// searched.
 #[inline(always)]
 pub fn nearest_to_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, halves: bool) -> [S; 2] {
     let zero = S::zero();
@@ -152,8 +155,9 @@ pub fn nearest_to_box<S: Real>(a: &Capsule<S>, box_half: &Vec3<S>, halves: bool)
     if halves { [S::select(first.lt(zero), zero, t), S::select(first.lt(zero), t, zero)] } else { [t; 2] }
 }
 
-/// Distance of the point `t` of a capsule's axis (first), whose ends are -1 and 1, with the capsule's radius about it, and a box
-/// about the origin with half edge lengths `box_half` along its axes.
+/// Distance of the point `t` of a capsule's axis (first), whose ends are -1 and 1, with the
+/// capsule's radius about it, and a box about the origin with half edge lengths `box_half` along
+/// its axes.
 #[inline(always)]
 pub fn capsule_and_box<S: Real>(a: &Capsule<S>, t: S, box_half: &Vec3<S>) -> Proximity<S> {
     let (zero, one) = (S::zero(), S::one());

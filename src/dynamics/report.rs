@@ -1,4 +1,5 @@
-//! Report of a physics step: impulses for the next warm start, contact forces, and positions of the sites.
+//! Report of a physics step: impulses for the next warm start, contact forces, and positions of the
+//! sites.
 
 use super::articulation::Topology;
 use super::ground::{Plane, splat_frame};
@@ -12,8 +13,9 @@ use super::state::{Report, State, Workspace};
 
 /// Stores the impulses for the next warm start, and reports the contact forces of a physics step.
 ///
-/// Every physics step reports the sum of normal forces per body, N, and which bodies are `touched` in any lane. The `last` one of a
-/// control step also reports the force on each body in world axes, N, and the [`demands`](Report::demands).
+/// Every physics step reports the sum of normal forces per body, N, and which bodies are `touched`
+/// in any lane. The `last` one of a control step also reports the force on each body in world axes,
+/// N, and the [`demands`](Report::demands).
 #[inline(always)]
 pub(super) fn report_contacts<S: Real>(
     topology: &Topology,

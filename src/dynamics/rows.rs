@@ -1,8 +1,10 @@
-//! The rows of contacts and joint bounds, from which [`solver`](super::solver) finds their impulses.
+//! The rows of contacts and joint bounds, from which [`solver`](super::solver) finds their
+//! impulses.
 //!
-//! A constraint row `J` is kept as `Z = H^-T J^T`, which is zero off the path from its link to the base, so that
-//! `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see [`factor`](super::factor)): a row's velocity is
-//! `Z . y`, and an impulse `l` changes `y` by `Z l`.
+//! A constraint row `J` is kept as `Z = H^-T J^T`, which is zero off the path from its link to the
+//! base, so that `J M^-1 J^T = Z^T Z` and a sweep works on the sparse velocity `y = H u` (see
+//! [`factor`](super::factor)): a row's velocity is `Z . y`, and an impulse `l` changes `y` by `Z
+//! l`.
 
 use super::articulation::{PairTopology, Topology};
 use super::blocks::{BLOCK, PathPart};
@@ -14,8 +16,8 @@ use super::sparse_rows::{JointRows, SparseRows, UnitRows};
 use super::spin_rows::SpinRows;
 use super::state::LinkState;
 
-/// Target speed of an absent contact, m/s. A robot that runs away may be faster: a lane that is not `near` is kept from pushing by its
-/// mask.
+/// Target speed of an absent contact, m/s. A robot that runs away may be faster: a lane that is not
+/// `near` is kept from pushing by its mask.
 pub(super) const NO_TARGET: f64 = -1e6;
 
 /// A contact: its normal and two tangents.
@@ -23,16 +25,18 @@ pub(super) const NO_TARGET: f64 = -1e6;
 pub(super) struct ContactRows<S: Real> {
     /// Place of its impulse in [`State::impulse`](super::state::State::impulse).
     pub(super) contact: usize,
-    /// The lanes in which it takes part in the step; in all others it has no impulse, whatever the velocities.
+    /// The lanes in which it takes part in the step; in all others it has no impulse, whatever the
+    /// velocities.
     pub(super) near: S::Mask,
     pub(super) rows: SparseRows<S>,
-    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
+    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent
+    /// 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
     /// Velocity along each tangent by a unit impulse along it.
     pub(super) across: [S; 2],
-    /// While the point sticks, what a change of the normal impulse takes from the impulses along the tangents, and what a
-    /// velocity along tangent 1 adds to that along tangent 2.
+    /// While the point sticks, what a change of the normal impulse takes from the impulses along
+    /// the tangents, and what a velocity along tangent 1 adds to that along tangent 2.
     pub(super) sticking: [S; 3],
     /// The inverse of the first of `inverse`.
     pub(super) diagonal: S,
@@ -52,11 +56,12 @@ pub(super) struct ContactRows<S: Real> {
     pub(super) active: bool,
 }
 
-/// The bounds of one joint. `limits` and `has_friction` are always set. The other numbers are set where its block takes part, and those
-/// of limits where any joint of the block is near one.
+/// The bounds of one joint. `limits` and `has_friction` are always set. The other numbers are set
+/// where its block takes part, and those of limits where any joint of the block is near one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct BoundRow<S: Real> {
-    /// The lanes in which the joint is near a limit; in all others limits have no impulse, whatever the velocities.
+    /// The lanes in which the joint is near a limit; in all others limits have no impulse, whatever
+    /// the velocities.
     pub(super) near: S::Mask,
     /// Whether there are any such lanes.
     pub(super) limits: bool,
@@ -108,18 +113,20 @@ impl<S: Real> BoundRow<S> {
 
 /// The bounds of a block's joints.
 ///
-/// The topology decides which joints share a block, not the present state: the order of operations in a lane must not
-/// depend on its neighbours.
+/// The topology decides which joints share a block, not the present state: the order of operations
+/// in a lane must not depend on its neighbours.
 #[derive(Clone, Debug)]
 pub(super) struct BoundBlock<S: Real> {
     /// Whether any lane is near a limit of any joint.
     pub(super) limits: bool,
-    /// Whether a limit is near or a joint has dry friction in any lane that is still swept over. Other blocks take no part.
+    /// Whether a limit is near or a joint has dry friction in any lane that is still swept over.
+    /// Other blocks take no part.
     pub(super) active: bool,
     pub(super) rows: UnitRows<S>,
     /// Couplings of the rows with each other: 0-1, 0-2, 1-2.
     pub(super) coupling: [S; 3],
-    /// Change of a later row's friction impulse per change of an earlier row's while neither slides: 0-1, 0-2, 1-2.
+    /// Change of a later row's friction impulse per change of an earlier row's while neither
+    /// slides: 0-1, 0-2, 1-2.
     pub(super) friction_coupling: [S; 3],
     pub(super) joints: [BoundRow<S>; BLOCK],
 }
@@ -127,17 +134,19 @@ pub(super) struct BoundBlock<S: Real> {
 /// Scratch memory of the contact solver.
 #[derive(Clone, Debug)]
 pub struct ContactWork<S: Real> {
-    /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for more.
+    /// Ground contacts, then pairs of the robot's own links: the first `num_contacts`, and room for
+    /// more.
     pub(super) contacts: Vec<ContactRows<S>>,
     pub(super) num_contacts: usize,
-    /// Torsional and rolling friction of the ground contacts, in their order: the first `num_spins`, and room for more.
+    /// Torsional and rolling friction of the ground contacts, in their order: the first
+    /// `num_spins`, and room for more.
     pub(super) spins: Vec<SpinRows<S>>,
     pub(super) num_spins: usize,
     /// `[blocks]`.
     pub(super) bounds: Vec<BoundBlock<S>>,
     /// Number of blocks after the first that rows have room for.
     pub(super) stride: usize,
-    /// Fastest push that a contact or bound asks for; not positive in lanes where nothing is to be pushed out.
+    /// Fastest push that a contact or bound asks for; not positive in lanes without a penetration.
     pub(super) violation: S,
     /// Compliance of the whole robot, one over its mass, 1/kg.
     pub(super) compliance: S,
@@ -145,7 +154,8 @@ pub struct ContactWork<S: Real> {
     pub(super) ground_frames: Vec<[Vec3<S>; 3]>,
     /// Normal and tangents of the pairs among `contacts`, in base axes.
     pub(super) pair_frames: Vec<[Vec3<S>; 3]>,
-    /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p` along the path.
+    /// Joint parts of the contact rows in the blocks after the first: `[contact * stride + p]`, `p`
+    /// along the path.
     pub(super) contact_further: Vec<JointRows<S>>,
     /// Joint parts of the rows of torsional and rolling friction, in the same layout.
     pub(super) spin_further: Vec<JointRows<S>>,
@@ -230,7 +240,8 @@ impl<S: Real> ContactWork<S> {
         (&mut self.contacts[self.num_contacts], &mut self.contact_further[self.num_contacts * self.stride..])
     }
 
-    /// Builds the rows of a point of a link that touches the ground, `centre` less `radius` along the normal.
+    /// Builds the rows of a point of a link that touches the ground, `centre` less `radius` along
+    /// the normal.
     #[inline(always)]
     pub(super) fn build_ground(
         &mut self,
@@ -256,7 +267,8 @@ impl<S: Real> ContactWork<S> {
         self.finish(topology, solver, solver.ground_compliance);
     }
 
-    /// Builds the rows of a pair of links that touch at a point: equal and opposite forces along the axes of `frame`.
+    /// Builds the rows of a pair of links that touch at a point: equal and opposite forces along
+    /// the axes of `frame`.
     #[inline(always)]
     pub(super) fn build_pair(
         &mut self,
@@ -282,7 +294,7 @@ impl<S: Real> ContactWork<S> {
             *out = joint_rows(topology, links, part, &rows.base);
             for (row, &side) in out.iter_mut().zip(side) {
                 for x in row {
-                    // what carries both links feels nothing
+                    // a link that carries both feels nothing
                     *x = *x * S::splat(side);
                 }
             }
@@ -293,7 +305,8 @@ impl<S: Real> ContactWork<S> {
         self.finish(topology, solver, solver.pair_compliance);
     }
 
-    /// Finds the couplings of the rows about to be added. `compliance` along the normal is a share of the whole robot's.
+    /// Finds the couplings of the rows about to be added. `compliance` along the normal is a share
+    /// of the whole robot's.
     #[inline(always)]
     fn finish(&mut self, topology: &Topology, solver: &SolverSettings, compliance: f64) {
         let one = S::one();
@@ -315,8 +328,8 @@ impl<S: Real> ContactWork<S> {
         row.softness = softness;
     }
 
-    /// Adds the rows that were built as a contact that takes part in the lanes where it is `near`: it separates at least at the
-    /// speeds `target`, which may push out, and `bounce`.
+    /// Adds the rows that were built as a contact that takes part in the lanes where it is `near`:
+    /// it separates at least at the speeds `target`, which may push out, and `bounce`.
     #[inline(always)]
     pub(super) fn add(&mut self, near: S::Mask, target: S, bounce: S, warm_start: &[S; 3]) {
         let (z, no_target) = (S::zero(), S::splat(NO_TARGET));
@@ -364,7 +377,8 @@ impl<S: Real> ContactRows<S> {
     }
 }
 
-/// `Z` of three rows that act on a link; their `base` holds the directions, each its moment about the base's origin and its force.
+/// `Z` of three rows that act on a link; their `base` holds the directions, each its moment about
+/// the base's origin and its force.
 #[inline(always)]
 pub(super) fn build_rows<S: Real>(
     topology: &Topology,
@@ -390,7 +404,8 @@ pub(super) fn build_rows<S: Real>(
     rows.half_solve(topology, factor, further);
 }
 
-/// `J` of a block's joints for forces along three directions, given as their moment about the base's origin and themselves.
+/// `J` of a block's joints for forces along three directions, given as their moment about the
+/// base's origin and themselves.
 #[inline(always)]
 fn joint_rows<S: Real>(
     topology: &Topology,

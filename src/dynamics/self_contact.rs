@@ -1,7 +1,8 @@
 //! Contacts between a robot's own links.
 //!
-//! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those of two links, whose colliders are
-//! placed only when these meet, then those of two colliders. What is left out is further apart than the margin in every lane.
+//! Most pairs are far apart in most steps, and are told by boxes along the base's axes: first those
+//! of two links, whose colliders are placed only when these meet, then those of two colliders.
+//! Pairs that are left out are further apart than the margin in every lane.
 
 use super::articulation::Topology;
 use super::gaps::{reach_in_step, separation};
@@ -44,7 +45,7 @@ impl<S: Real> PlacedCollider<S> {
 /// A box along the base's axes that holds all colliders of a link.
 #[derive(Clone, Debug)]
 pub struct ColliderBox<S> {
-    /// m.
+    /// Centre, m.
     centre: Vec3<S>,
     /// Half edge lengths, m.
     extent: Vec3<S>,
@@ -79,7 +80,8 @@ fn box_distance<S: Real>(a: [&Vec3<S>; 2], b: [&Vec3<S>; 2]) -> S {
     most
 }
 
-/// Half edge lengths of the box along some axes that holds a box with these half edges, turned by `rotation` to those axes.
+/// Half edge lengths of the box along some axes that holds a box with these half edges, turned by
+/// `rotation` to those axes.
 #[inline(always)]
 fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
     let mut extent = *half;
@@ -89,8 +91,9 @@ fn turned_extent<S: Real>(rotation: &Mat3<S>, half: &Vec3<S>) -> Vec3<S> {
     extent
 }
 
-/// Finds the pairs of links that are near each other and builds their rows, after those of the ground contacts. `first`: whether the
-/// bodies may be others than those of the physics step before.
+/// Finds the pairs of links that are near each other and builds their rows, after those of the
+/// ground contacts. `first`: whether the bodies may be others than those of the physics step
+/// before.
 #[inline(always)]
 pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -130,7 +133,8 @@ pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
                 continue;
             }
             let shapes = PairShapes::new(topology, colliders, pair.colliders);
-            // at speeds beyond all sense rounding may tell otherwise below: a lane's answer is that of all tests
+            // at speeds beyond all sense rounding may tell otherwise below: a lane's answer is that
+            // of all tests
             let may_touch = S::and(near, shapes.may_touch(margin + rounding));
             if !S::any(may_touch) {
                 continue;
@@ -153,7 +157,8 @@ pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
     }
 }
 
-/// Distance of the two links of a pair, m (negative when they overlap); [`place_colliders`] must have been called.
+/// Distance of the two links of a pair, m (negative when they overlap); [`place_colliders`] must
+/// have been called.
 #[inline(always)]
 pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) -> S {
     let pair = &topology.pairs[pair];
@@ -162,7 +167,8 @@ pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) 
     places[..pair.spans.len()].iter().map(|place| shapes.proximity(place).gap).fold(S::splat(f64::MAX), S::min)
 }
 
-/// At least half the square of the largest speed of a body's points within the root of `squared_reach` of `centre`.
+/// At least half the square of the largest speed of a body's points within the root of
+/// `squared_reach` of `centre`.
 #[inline(always)]
 fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_reach: S) -> S {
     // (x + y)^2 <= 2 x^2 + 2 y^2 saves roots
@@ -170,8 +176,9 @@ fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_
     squared_reach.mul_add(dot(&velocity.ang, &velocity.ang), dot(&point, &point))
 }
 
-/// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or freely. The base, from which all is
-/// seen, stays as the `first` physics step of these bodies left it.
+/// Puts a box around the colliders of each link, and finds how fast any point of it moves, now or
+/// freely. The base, from which all is seen, stays as the `first` physics step of these bodies left
+/// it.
 #[inline(always)]
 fn box_links<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -199,7 +206,8 @@ fn box_links<S: Real, B: BodyNumbers<S>>(
     }
 }
 
-/// Puts the colliders where the workspace's kinematics has their links. For tools and tests: a step places those that it needs.
+/// Puts the colliders where the workspace's kinematics has their links. For tools and tests: a step
+/// places those that it needs.
 pub fn place_colliders<S: Real, B: BodyNumbers<S>>(topology: &Topology, parameters: B, work: &mut Workspace<S>) {
     for (c, collider) in topology.colliders.iter().enumerate() {
         place_collider(topology, parameters, c, &work.links[collider.link], &mut work.colliders[c]);
@@ -263,7 +271,8 @@ impl<'a, S: Real> PairShapes<'a, S> {
         }
     }
 
-    /// Where each of the first capsule's parts comes nearest: places on the axis of the first, and of the second if it is a capsule.
+    /// Where each of the first capsule's parts comes nearest: places on the axis of the first, and
+    /// of the second if it is a capsule.
     #[inline(always)]
     fn nearest(&self, spans: &[[f64; 2]]) -> [[S; 2]; 2] {
         match self {

@@ -1,10 +1,11 @@
-//! Constraint rows `Z = H^-T J^T`, three at a time, and what they have to do with the sparse velocity `y = H u`.
+//! Constraint rows `Z = H^-T J^T`, three at a time, and what they have to do with the sparse
+//! velocity `y = H u`.
 //!
-//! A row is zero off the path from its link to the base. Nearly all paths are one block of joints, whose part is held with the
-//! rows; the parts of further blocks lie elsewhere.
+//! A row is zero off the path from its link to the base. Nearly all paths are one block of joints,
+//! whose part is held with the rows; the parts of further blocks lie elsewhere.
 //!
-//! From one constraint to the next only the base's part of the velocity passes, mostly: it is added last when read and first
-//! when written, so that little waits for it.
+//! From one constraint to the next only the base's part of the velocity passes, mostly: it is added
+//! last when read and first when written, so that little waits for it.
 
 use super::articulation::Topology;
 use super::blocks::{BLOCK, PathPart};
@@ -17,7 +18,8 @@ pub(super) type JointRows<S> = [[S; 3]; BLOCK];
 /// Pairs of three rows, the earlier one first.
 const PRODUCTS: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
-/// Three rows, of a contact, or with `UNITS` of a block's joints: then the numbers below the diagonal of `own` are zero, and left out.
+/// Three rows, of a contact, or with `UNITS` of a block's joints: then the numbers below the
+/// diagonal of `own` are zero, and left out.
 #[derive(Clone, Debug)]
 pub(super) struct SparseRows<S, const UNITS: bool = false> {
     /// The path of the joints they act on, in the topology.
@@ -39,7 +41,8 @@ impl<S: Real, const UNITS: bool> SparseRows<S, UNITS> {
         Self { path: 0, parts: 0, block: 0, base: [[z; 6]; 3], own: [[z; 3]; BLOCK] }
     }
 
-    /// Whether a row has a part of a joint of the block. Loops ask inside, since only those over all rows are unrolled.
+    /// Whether a row has a part of a joint of the block. Loops ask inside, since only those over
+    /// all rows are unrolled.
     #[inline(always)]
     const fn has(joint: usize, row: usize) -> bool {
         !UNITS || row >= joint
@@ -188,8 +191,9 @@ impl<S: Real, const UNITS: bool> SparseRows<S, UNITS> {
         }
     }
 
-    /// Change of the base's part by the elimination of the joints, from which `D^-1/2 G^-1` follows; and `D^-1/2` of the blocks after
-    /// the first. A first block that is not given is done with.
+    /// Change of the base's part by the elimination of the joints, from which `D^-1/2 G^-1`
+    /// follows; and `D^-1/2` of the blocks after the first. A first block that is not given is done
+    /// with.
     #[inline(always)]
     fn solve_base(
         &mut self,
@@ -356,7 +360,8 @@ fn eliminate_base<S: Real>(factor: &Factor<S>, part: &PathPart, x: &JointRows<S>
     }
 }
 
-/// Change of the parts of the path that carry a block by the elimination of its joints; none of them is the path's first.
+/// Change of the parts of the path that carry a block by the elimination of its joints; none of
+/// them is the path's first.
 #[inline(always)]
 fn pass_on<S: Real>(
     topology: &Topology,

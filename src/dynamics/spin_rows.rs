@@ -1,8 +1,10 @@
-//! The rows of torsional and rolling friction: the angular velocity of a link about the axes of a contact with the ground.
+//! The rows of torsional and rolling friction: the angular velocity of a link about the axes of a
+//! contact with the ground.
 //!
-//! An angular impulse about the normal, and one about an axis across it, are bounded by a coefficient times the normal impulse. The
-//! coefficients are lengths: the radius at which sliding friction of a patch of contact would give the same torque, and the distance by
-//! which the pressure moves ahead of a rolling body's axis.
+//! An angular impulse about the normal, and one about an axis across it, are bounded by a
+//! coefficient times the normal impulse. The coefficients are lengths: the radius at which sliding
+//! friction of a patch of contact would give the same torque, and the distance by which the
+//! pressure moves ahead of a rolling body's axis.
 
 use super::articulation::{ContactFriction, Topology};
 use super::blocks::BLOCK;
@@ -17,25 +19,29 @@ use super::state::LinkState;
 /// Torsional and rolling friction of a ground contact.
 #[derive(Clone, Debug)]
 pub(super) struct SpinRows<S: Real> {
-    /// Angular velocities about the normal and two tangents. Torsional friction alone uses the first.
+    /// Angular velocities about the normal and two tangents. Torsional friction alone uses the
+    /// first.
     pub(super) rows: SparseRows<S>,
-    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent 2.
+    /// Couplings of the rows with each other: normal-tangent 1, normal-tangent 2, tangent 1-tangent
+    /// 2.
     pub(super) coupling: [S; 3],
     pub(super) inverse: [S; 3],
     /// Inertia of a rolling step: the inverse of the largest eigenvalue of the tangents' block.
     pub(super) roll: S,
-    /// N m s.
+    /// Impulse of the friction, N m s.
     pub(super) impulse: [S; 3],
 }
 
 impl<S: Real> ContactWork<S> {
-    /// The ground contacts' torsional and rolling friction; empty where the topology asks for neither.
+    /// The ground contacts' torsional and rolling friction; empty where the topology asks for
+    /// neither.
     #[inline(always)]
     pub(super) fn spins(&self) -> &[SpinRows<S>] {
         &self.spins[..self.num_spins]
     }
 
-    /// Adds torsional and rolling friction to the contact that was added last, which takes part in the lanes where it is `near`.
+    /// Adds torsional and rolling friction to the contact that was added last, which takes part in
+    /// the lanes where it is `near`.
     #[inline(always)]
     pub(super) fn add_spin(
         &mut self,
@@ -52,7 +58,8 @@ impl<S: Real> ContactWork<S> {
         if self.num_spins == self.spins.len() {
             self.spins.push(SpinRows::zero());
         }
-        // that of tangents at a lever of 1 m: robots turn more easily, but what is fixed to the world may not turn at all
+        // the compliance of tangents at a lever of 1 m: robots turn more easily, but what is fixed
+        // to the world may not turn at all
         let least = self.compliance * S::splat(solver.min_tangent_compliance);
         let spin = &mut self.spins[self.num_spins];
         let further = &mut self.spin_further[self.num_spins * self.stride..];

@@ -1,4 +1,5 @@
-//! Passive springs of joints, integrated by Newmark's method with average acceleration: a spring loses no energy to the step.
+//! Passive springs of joints, integrated by Newmark's method with average acceleration: a spring
+//! loses no energy to the step.
 
 use super::articulation::Topology;
 use super::lanes::Real;
@@ -6,7 +7,8 @@ use super::parameters::BodyNumbers;
 use super::settings::SPRING_STIFFNESS;
 use super::state::{State, Workspace};
 
-/// Adds the springs' implicit share to the diagonal of the mass matrix; nothing where no joint has one.
+/// Adds the springs' implicit share to the diagonal of the mass matrix; nothing where no joint has
+/// one.
 #[inline(always)]
 pub(super) fn add_spring_inertia<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -26,7 +28,8 @@ pub(super) fn add_spring_inertia<S: Real, B: BodyNumbers<S>>(
     }
 }
 
-/// Adds the springs' impulses over a step to those of the joints, `[blocks]`; nothing where no joint has one.
+/// Adds the springs' impulses over a step to those of the joints, `[blocks]`; nothing where no
+/// joint has one.
 #[inline(always)]
 pub(super) fn add_spring_impulses<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,

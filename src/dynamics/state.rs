@@ -23,13 +23,14 @@ pub struct State<S> {
     pub joint_position: Vec<S>,
     /// Joint velocities, rad/s, `[joints]`.
     pub joint_velocity: Vec<S>,
-    /// Contact impulses of the last physics step (along the contact's normal and two tangents), N s, `[contacts, then
-    /// pairs]`, then with torsional or rolling friction the angular ones about these axes, N m s, `[contacts]`; they warm-start the
-    /// next one.
+    /// Contact impulses of the last physics step (along the contact's normal and two tangents), N
+    /// s, `[contacts, then pairs]`, then with torsional or rolling friction the angular ones about
+    /// these axes, N m s, `[contacts]`; they warm-start the next one.
     pub impulse: Vec<[S; 3]>,
     /// Contacts whose impulse is not zero in every lane: all others must be zero.
     pub pressing: Vec<u32>,
-    /// Impulses of the joints' limits and dry friction in the last physics step, N m s, `[joints]`; they warm-start the next one.
+    /// Impulses of the joints' limits and dry friction in the last physics step, N m s, `[joints]`;
+    /// they warm-start the next one.
     pub bound_impulse: Vec<S>,
 }
 
@@ -59,10 +60,11 @@ pub struct Report<S> {
     pub body_force: Vec<Vec3<S>>,
     /// Sum of the normal forces of a body's contacts, N: `normal_force[physics step][body]`.
     pub normal_force: Vec<Vec<S>>,
-    /// Bodies that had a contact in some lane and physics step: forces on all others are zero, `[bodies]`.
+    /// Bodies that had a contact in some lane and physics step: forces on all others are zero,
+    /// `[bodies]`.
     pub touched: Vec<bool>,
-    /// Demands of the last physics step, one or else zero each: bodies near the ground or another link, `[bodies]`, joints
-    /// near a limit, `[blocks]`, and anything that was to be pushed out.
+    /// Demands of the last physics step, one or else zero each: bodies near the ground or another
+    /// link, `[bodies]`, joints near a limit, `[blocks]`, and anything that was to be pushed out.
     pub demands: Vec<S>,
     /// Site positions in the env's frame, m, `[sites]`.
     pub site_position: Vec<Vec3<S>>,
@@ -138,7 +140,8 @@ pub struct LinkState<S> {
     pub position: Vec3<S>,
     /// Spatial velocity.
     pub velocity: Spatial<S>,
-    /// Spatial velocity that it would have after the step without constraints, relative to the base.
+    /// Spatial velocity that it would have after the step without constraints, relative to the
+    /// base.
     pub free_velocity: Spatial<S>,
     /// Motion axis of the joint that moves it.
     pub axis: Spatial<S>,
@@ -162,7 +165,8 @@ pub struct Workspace<S: Real> {
     pub(super) base_rotation: Mat3<S>,
     /// `[links]`.
     pub links: Vec<LinkState<S>>,
-    /// Links of the base and of one tree that it carries; the next tree takes the place of the last, `[slots]`.
+    /// Links of the base and of one tree that it carries; the next tree takes the place of the
+    /// last, `[slots]`.
     pub(super) dynamics: Vec<LinkDynamics<S>>,
     /// Generalised bias force: base (6, base axes) and joints.
     pub(super) bias_base: [S; 6],
@@ -182,7 +186,8 @@ pub struct Workspace<S: Real> {
     pub(super) target: Vec<S>,
     /// Where the colliders are.
     pub(super) colliders: Vec<PlacedCollider<S>>,
-    /// Boxes around all colliders of a link, `[links]`; without meaning for a link without colliders.
+    /// Boxes around all colliders of a link, `[links]`; without meaning for a link without
+    /// colliders.
     pub(super) collider_boxes: Vec<ColliderBox<S>>,
     /// Rows of active contacts and joint bounds.
     pub(super) contact: ContactWork<S>,

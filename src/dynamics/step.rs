@@ -33,11 +33,13 @@ pub struct ControlStep<'a, S: Real> {
     pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
-    /// Parameters of the morphology, if all bodies are [uniform](Parameters::is_alike). The step is then faster, and its bits are the same.
+    /// Parameters of the morphology, if all bodies are [uniform](Parameters::is_alike). The step is
+    /// then faster, and its bits are the same.
     pub kind: Option<&'a Parameters<f32>>,
     /// Targets of the actuators.
     pub drive: &'a Drive<S>,
-    /// Physics steps of the `decimation` ones that are made. The first one begins the report, the last one completes it.
+    /// Physics steps of the `decimation` ones that are made. The first one begins the report, the
+    /// last one completes it.
     pub substeps: Range<usize>,
     /// Moves forward by these physics steps.
     pub state: &'a mut State<S>,
@@ -55,7 +57,8 @@ impl<L: Kernels> ControlStep<'_, L> {
 }
 
 impl<L: Lanes> ControlStep<'_, L> {
-    /// Makes the step in code that is compiled where this is called: [`kernels`](super::kernels) calls it once per lane type.
+    /// Makes the step in code that is compiled where this is called: [`kernels`](super::kernels)
+    /// calls it once per lane type.
     pub(super) fn compute(self) {
         let parameters = self.parameters;
         if self.topology.friction != ContactFriction::Sliding || self.topology.has_surfaces {
@@ -138,7 +141,8 @@ fn update_kinematics<S: Real, B: BodyNumbers<S>>(
     kinematics::equations_of_motion(topology, parameters, position, velocity, &state.angular_velocity, &gravity, work);
 }
 
-/// Factorises the mass matrix, with the damping of joints and the implicit shares of springs and actuators on its diagonal.
+/// Factorises the mass matrix, with the damping of joints and the implicit shares of springs and
+/// actuators on its diagonal.
 #[inline(always)]
 fn factorise<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -159,10 +163,12 @@ fn factorise<S: Real, B: BodyNumbers<S>>(
     work.factor.factorise(topology);
 }
 
-/// Finds the velocity that the robot would have after the step without constraints, and returns the base's in base axes.
+/// Finds the velocity that the robot would have after the step without constraints, and returns the
+/// base's in base axes.
 ///
-/// Leaves the joints' free velocities in `rhs_joint`, the links' in `links`, the sparse velocity before the step in the contact
-/// workspace's `base`, `joints`, and the free one in its `moved_base`, `moved_joints`.
+/// Leaves the joints' free velocities in `rhs_joint`, the links' in `links`, the sparse velocity
+/// before the step in the contact workspace's `base`, `joints`, and the free one in its
+/// `moved_base`, `moved_joints`.
 #[inline(always)]
 fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -212,7 +218,8 @@ fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
     Spatial::from_array(free_base)
 }
 
-/// Builds the rows of ground contacts, of contacts between links and of joint bounds. The sparse velocity is the free one afterwards.
+/// Builds the rows of ground contacts, of contacts between links and of joint bounds. The sparse
+/// velocity is the free one afterwards.
 #[inline(always)]
 fn build_constraints<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -235,7 +242,8 @@ fn build_constraints<S: Real, B: BodyNumbers<S>>(
     work.rhs_joint = free_joints;
 }
 
-/// Solves the constraints, stores their impulses for the next warm start, and reports the contact forces.
+/// Solves the constraints, stores their impulses for the next warm start, and reports the contact
+/// forces.
 #[inline(always)]
 fn solve_constraints<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -253,8 +261,8 @@ fn solve_constraints<S: Real, B: BodyNumbers<S>>(
     report_contacts(topology, &settings.contact, inverse_dt, base_rotation, contact, state, substep, last, report);
 }
 
-/// Takes over the new velocities, and moves positions with them and the push (semi-implicit Euler). Reports joint efforts and
-/// accelerations.
+/// Takes over the new velocities, and moves positions with them and the push (semi-implicit Euler).
+/// Reports joint efforts and accelerations.
 #[inline(always)]
 fn integrate<S: Real>(
     topology: &Topology,

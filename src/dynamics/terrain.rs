@@ -4,19 +4,21 @@ use super::lanes::Real;
 use super::math::Vec3;
 use super::settings::{HEIGHT_SQUARES, MAX_SLOPE, MIN_DROP};
 
-/// Cells along each side of the squares in which heights are kept together, about as many as a page of memory holds.
+/// Cells along each side of the squares in which heights are kept together, about as many as a page
+/// of memory holds.
 const PAGE: usize = 32;
-/// Points along each side of a page: those at its far edges are its neighbours' first ones too, so that all corners of a cell
-/// are in one page.
+/// Points along each side of a page: those at its far edges are its neighbours' first ones too, so
+/// that all corners of a cell are in one page.
 const EDGE: usize = PAGE + 1;
 const PAGE_POINTS: usize = EDGE * EDGE;
-/// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner looks at.
+/// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner
+/// looks at.
 const GROUP: usize = 16;
 /// See [`GROUP`].
 pub const LARGE_GROUP: usize = 64;
 
-/// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut from the first to the last
-/// corner; beyond the rectangle its edge goes on.
+/// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut
+/// from the first to the last corner; beyond the rectangle its edge goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeightGrid {
     /// Where the first point is, x and y, m.
@@ -25,7 +27,8 @@ pub struct HeightGrid {
     pub cell: f32,
     /// Number of points along x and y, at least two each.
     pub size: [usize; 2],
-    /// Heights, m, page by page: what is near in the world is near in memory, whatever the direction.
+    /// Heights, m, page by page: what is near in the world is near in memory, whatever the
+    /// direction.
     points: Vec<f32>,
     /// Number of pages along y.
     columns: usize,
@@ -65,7 +68,8 @@ pub struct Terrain<'a, S> {
 }
 
 impl HeightGrid {
-    /// A level grid; heights may then be changed, and [`note_squares`](Self::note_squares) must follow.
+    /// A level grid; heights may then be changed, and [`note_squares`](Self::note_squares) must
+    /// follow.
     pub fn level(origin: [f32; 2], cell: f32, size: [usize; 2], height: f32) -> Self {
         let [rows, columns] = size.map(|points| (points - 1).div_ceil(PAGE));
         let points = vec![height; rows * columns * PAGE_POINTS];
@@ -146,7 +150,8 @@ impl HeightGrid {
         n: usize,
     ) -> [f32; GROUP] {
         let squares = &self.squares[near as usize];
-        // the squares around hold what is within an edge length, less the cell between the last point and the next square
+        // the squares around hold what is within an edge length, less the cell between the last
+        // point and the next square
         let far = (squares.stride as f32 - 1.0) * self.cell;
         let mut at = [0u32; GROUP];
         for k in 0..GROUP {
@@ -169,7 +174,8 @@ impl HeightGrid {
         whole(if square < last { square } else { last })
     }
 
-    /// Height, m, and slope along x and y at a place. A place that is not finite has the height of a corner.
+    /// Height, m, and slope along x and y at a place. A place that is not finite has the height of
+    /// a corner.
     pub fn sample(&self, x: f32, y: f32) -> (f32, [f32; 2]) {
         let mut found = Samples::zeros();
         self.sample_group(&[x; GROUP], &[y; GROUP], 1, &mut found);
@@ -182,8 +188,9 @@ impl HeightGrid {
         (rise / self.cell).clamp(-MAX_SLOPE, MAX_SLOPE)
     }
 
-    /// Heights, m, and rises from one point to the next, below the first `n` places of a group. Without branches in its
-    /// arithmetic, so that it runs in lanes and the loads of all places are under way together.
+    /// Heights, m, and rises from one point to the next, below the first `n` places of a group.
+    /// Without branches in its arithmetic, so that it runs in lanes and the loads of all places are
+    /// under way together.
     #[inline(always)]
     fn sample_group<const N: usize>(&self, x: &[f32; N], y: &[f32; N], n: usize, found: &mut Samples<N>) {
         let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
@@ -294,7 +301,8 @@ fn not_below_zero(x: f32) -> f32 {
     if x > 0.0 { x } else { 0.0 }
 }
 
-/// The largest whole number up to a number of 0 to 4 million, by operations that every instruction set has in lanes.
+/// The largest whole number up to a number of 0 to 4 million, by operations that every instruction
+/// set has in lanes.
 #[inline(always)]
 fn floor(x: f32) -> f32 {
     let nearest = (x + WHOLE) - WHOLE;
@@ -330,11 +338,12 @@ impl<S: Real> Terrain<'_, S> {
         found
     }
 
-    /// Gap of spheres (points, where the radius is zero) above the ground, m, and the unit normal of the contact, lane by lane:
-    /// `place` are the centres about the envs' origins.
+    /// Gap of spheres (points, where the radius is zero) above the ground, m, and the unit normal
+    /// of the contact, lane by lane: `place` are the centres about the envs' origins.
     ///
-    /// It is the plane of the ground below the centre that counts; but where the ground falls away from it before it comes
-    /// nearest, on the edge of a step, a sphere touches the edge, and the normal turns as the foot leaves it.
+    /// It is the plane of the ground below the centre that counts; but where the ground falls away
+    /// from it before it comes nearest, on the edge of a step, a sphere touches the edge, and the
+    /// normal turns as the foot leaves it.
     #[inline(always)]
     pub(super) fn gap(&self, place: &Vec3<S>, radius: S) -> (S, Vec3<S>) {
         let found = self.sample(place[0], place[1]);
@@ -380,7 +389,7 @@ impl<S: Real> Terrain<'_, S> {
         let squared = from[0].mul_add(from[0], from[1].mul_add(from[1], from[2] * from[2]));
         let length = squared.max(S::splat(1e-12)).sqrt();
         let inverse = one / length;
-        // an edge beside the centre is that of a wall, whose plane is no steeper either
+        // an edge next to the centre belongs to a wall, whose plane is no steeper either
         let rounds = S::and(edge, (length * S::splat(1.0 / f64::from(MAX_SLOPE))).lt(from[2]));
         let turned = [
             S::select(rounds, from[0] * inverse, normal[0]),

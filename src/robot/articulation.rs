@@ -8,8 +8,8 @@ use crate::dynamics::{
     Axis, ContactFriction, ContactKind, ContactTopology, JointMotion, JointTopology, Parameters, Topology,
 };
 
-/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it by impulses that
-/// may be zero.
+/// Speed limit of a joint that has none, rad/s or m/s. It is finite, since the solver multiplies it
+/// by impulses that may be zero.
 pub const FASTEST: f64 = 1e9;
 /// Rims of cylinders are represented by this many points each.
 const RIM_POINTS: usize = 3;
@@ -23,26 +23,30 @@ pub struct Site {
     pub position: DVec3,
 }
 
-/// A model in the engine's terms. Link axes are parallel to the base's when all joints are at zero, which leaves only
-/// joint offsets and axes; `align` leads there from the URDF's axes.
+/// A model in the engine's terms. Link axes are parallel to the base's when all joints are at zero,
+/// which leaves only joint offsets and axes; `align` leads there from the URDF's axes.
 #[derive(Clone, Debug)]
 pub struct Articulation {
     /// Topology that robots of the kind share.
     pub topology: Topology,
-    /// Their numbers: those of the URDF, no gains, no friction with the ground but that of the surfaces.
+    /// Their numbers: those of the URDF, no gains, no friction with the ground but that of the
+    /// surfaces.
     pub parameters: Parameters<f64>,
     /// Turns a link's own axes into base-aligned ones, `[links]`.
     pub align: Vec<DMat3>,
-    /// Collision shapes that may touch each other, counted body after body; those of the topology's pairs.
+    /// Collision shapes that may touch each other, counted body after body; those of the topology's
+    /// pairs.
     pub shape_pairs: Vec<[usize; 2]>,
 }
 
 impl Articulation {
-    /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the URDF as limits and
-    /// no actuator gains; velocity limits are left to actuators. A position or effort limit that is absent is infinite.
+    /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the
+    /// URDF as limits and no actuator gains; velocity limits are left to actuators. A position or
+    /// effort limit that is absent is infinite.
     ///
-    /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad or m) in which none
-    /// is meant to: shapes that overlap there do so by design and are left alone, as are links joined by one joint.
+    /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad
+    /// or m) in which none is meant to: shapes that overlap there do so by design and are left
+    /// alone, as are links joined by one joint.
     pub fn new(model: &Model, floating: bool, sites: &[Site], self_collision: Option<&[f64]>) -> Self {
         let zero = vec![0.0; model.joints.len()];
         let align: Vec<DMat3> = model.forward_kinematics(&zero).iter().map(|pose| pose.rotation).collect();
@@ -129,8 +133,8 @@ impl Articulation {
     }
 }
 
-/// Limits about the middle of a joint's range, `share` of which lies between them. A joint without two limits has no
-/// range and keeps what limits it has.
+/// Limits about the middle of a joint's range, `share` of which lies between them. A joint without
+/// two limits has no range and keeps what limits it has.
 pub fn soft_limits([lower, upper]: [f32; 2], share: f32) -> [f32; 2] {
     if !(lower.is_finite() && upper.is_finite()) {
         return [lower, upper];

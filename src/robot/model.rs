@@ -84,7 +84,8 @@ pub struct Joint {
     pub origin: Pose,
     /// Unit vector in the joint frame.
     pub axis: DVec3,
-    /// Lower position limit; negative infinity when there is none. The file's numbers beyond 1000 rad or m are none.
+    /// Lower position limit; negative infinity when there is none. The file's numbers beyond 1000
+    /// rad or m are none.
     pub lower: f64,
     /// Upper position limit; infinity when there is none.
     pub upper: f64,

@@ -26,8 +26,8 @@ const MIN_DEVIATION: f64 = 5e-6;
 /// The links with collision shapes, in the file's order, where `places` has put them: the index of
 /// the merged link and the frame in it.
 ///
-/// Where a limb ends in links all of whose meshes are missing, the box of the inertia of the last one takes their place: robots are
-/// published without meshes, and a foot has to touch the ground.
+/// Where a limb ends in links all of whose meshes are missing, the box of the inertia of the last
+/// one takes their place: robots are published without meshes, and a foot has to touch the ground.
 pub(super) fn bodies(
     robot: &urdf_rs::Robot,
     joints: &[Joint],
@@ -107,7 +107,8 @@ fn last_links(robot: &urdf_rs::Robot, places: &[Option<(usize, Pose)>], links: &
     kept.iter().copied().filter(is_last).collect()
 }
 
-/// The uniform box that has a link's mass and moments of inertia, in the link's frame; `None` where they are no body's.
+/// The uniform box that has a link's mass and moments of inertia, in the link's frame; `None` where
+/// they are no body's.
 fn box_of_inertia(inertial: &urdf_rs::Inertial) -> Option<Shape> {
     let (mass, i) = (inertial.mass.value, &inertial.inertia);
     let moments = DVec3::new(i.ixx, i.iyy, i.izz);

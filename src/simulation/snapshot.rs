@@ -61,7 +61,8 @@ impl Simulation {
     /// Restores a snapshot of a simulation with the same robot, options and number of envs.
     ///
     /// # Errors
-    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation is then as it was.
+    /// When the bytes are no snapshot, a damaged one or one of another simulation; the simulation
+    /// is then as it was.
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
         // check everything before anything is written

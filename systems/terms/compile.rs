@@ -61,7 +61,8 @@ pub struct ObservationTerm {
     is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
 }
 
-/// An observation group: consecutive terms, and consecutive numbers of a row of [`Batch::observations`](crate::batch::Batch).
+/// An observation group: consecutive terms, and consecutive numbers of a row of
+/// [`Batch::observations`](crate::batch::Batch).
 pub struct ObservationGroup {
     /// Its name; the first one is [`POLICY_GROUP`](crate::config::POLICY_GROUP).
     pub name: String,
@@ -162,7 +163,8 @@ pub(in crate::systems) struct PhysicsMaterial {
 }
 
 impl PhysicsMaterial {
-    /// Ranges of a robot's torsional and rolling friction, m; none where the coefficient is not drawn.
+    /// Ranges of a robot's torsional and rolling friction, m; none where the coefficient is not
+    /// drawn.
     pub(in crate::systems) fn spin_ranges(&self, morphology: &MorphologyModel) -> [Option<[f64; 2]>; 2] {
         let own = &morphology.config.randomization;
         [self.torsional_friction_range.or(own.torsional_friction), self.rolling_friction_range.or(own.rolling_friction)]
@@ -204,7 +206,8 @@ impl CompiledTask {
     /// Makes every term that the robots of the run use.
     ///
     /// # Errors
-    /// A term is unknown or its parameters are wrong; a robot asks for a reward set that the task lacks.
+    /// A term is unknown or its parameters are wrong; a robot asks for a reward set that the task
+    /// lacks.
     pub fn new(config: &TaskConfig, morphologies: &Morphologies, registry: &Registry) -> Result<Self, ConfigError> {
         let file = config.name.as_str();
         let step_dt = config.sim.step_dt() as f32;
@@ -366,7 +369,8 @@ impl CompiledTask {
         Ok(())
     }
 
-    /// The most physics steps by which the task's events delay the targets of a robot, on top of its actuators' delays.
+    /// The most physics steps by which the task's events delay the targets of a robot, on top of
+    /// its actuators' delays.
     pub fn max_action_delay(&self, morphology: &MorphologyModel) -> u32 {
         self.action_delay.as_ref().map_or(0, |event| event.range(morphology)[1])
     }
@@ -402,7 +406,8 @@ impl CompiledTask {
         })
     }
 
-    /// Whether an observation holds numbers of the one before: of a term that remembers, or whose error lasts an episode.
+    /// Whether an observation holds numbers of the one before: of a term that remembers, or whose
+    /// error lasts an episode.
     pub fn has_history(&self) -> bool {
         self.observations.iter().any(|term| term.history > 1 || term.error > 0.0)
     }
@@ -451,7 +456,8 @@ impl CompiledTask {
         self.interval_events.len()
     }
 
-    /// Whether causes of an end hold a failure, see [`Episode::causes`](crate::components::Episode::causes).
+    /// Whether causes of an end hold a failure, see
+    /// [`Episode::causes`](crate::components::Episode::causes).
     pub(in crate::systems) fn has_failed(&self, causes: u32) -> bool {
         let of_terms = self.terminations.iter().enumerate().filter(|(_, term)| !term.time_out);
         of_terms.fold(1, |failures: u32, (bit, _)| failures | 1 << (bit + 1)) & causes != 0

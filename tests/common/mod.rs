@@ -24,8 +24,8 @@ pub fn size<T>(core: T, extended: T) -> T {
 pub const ROBOTS: [&str; 8] =
     ["anymal_d", "anymal_c", "anymal_b", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2", "spot"];
 
-/// The flat task, with short episodes and frequent pushes and commands so that a short run meets all of them, on one
-/// thread.
+/// The flat task, with short episodes and frequent pushes and commands so that a short run meets
+/// all of them, on one thread.
 pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
     SimOptions {
         robots: Some(robots.iter().map(|robot| robot.to_string()).collect()),
@@ -49,7 +49,8 @@ pub fn turning(mut options: SimOptions) -> SimOptions {
     options
 }
 
-/// The same task with a spring at each joint, and front legs that touch the ground otherwise than the rest.
+/// The same task with a spring at each joint, and front legs that touch the ground otherwise than
+/// the rest.
 pub fn sprung(mut options: SimOptions) -> SimOptions {
     for robot in options.robots.iter().flatten() {
         let own = format!("robot_overrides.{robot}");
@@ -64,7 +65,8 @@ pub fn sprung(mut options: SimOptions) -> SimOptions {
     options
 }
 
-/// The path of a task file that extends another task by these lines; `name` tells it from those of other tests.
+/// The path of a task file that extends another task by these lines; `name` tells it from those of
+/// other tests.
 pub fn extended_task(name: &str, extends: &str, lines: &str) -> String {
     let folder = std::env::temp_dir().join(format!("polypod-tests-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
@@ -92,7 +94,8 @@ pub fn noise(stream: u64, env: usize, step: usize, slot: usize) -> f32 {
     (x >> 40) as f32 / (1 << 23) as f32 - 1.0
 }
 
-/// One control step; each env's actions are drawn from its own stream, so that they depend on no other env.
+/// One control step; each env's actions are drawn from its own stream, so that they depend on no
+/// other env.
 pub fn step_with(sim: &mut Sim, step: usize, stream: impl Fn(usize) -> u64) {
     let width = sim.batch().num_actions;
     let actions: Vec<f32> =
@@ -105,7 +108,8 @@ pub fn step(sim: &mut Sim, step: usize) {
     step_with(sim, step, |_| 0);
 }
 
-/// The bits of each env: its rows of the batch, and its components as far as the batch does not show them.
+/// The bits of each env: its rows of the batch, and its components as far as the batch does not
+/// show them.
 pub fn env_bits(sim: &mut Sim) -> Vec<Vec<u32>> {
     let batch = sim.batch();
     let row = |data: &[f32], env: usize| bits(&data[env * batch.num_obs..(env + 1) * batch.num_obs]);
@@ -145,7 +149,8 @@ pub fn env_bits(sim: &mut Sim) -> Vec<Vec<u32>> {
     envs
 }
 
-/// The bits of numbers: equal ones are the same to the last bit, and NaNs compare like everything else.
+/// The bits of numbers: equal ones are the same to the last bit, and NaNs compare like everything
+/// else.
 pub fn bits(numbers: &[f32]) -> Vec<u32> {
     numbers.iter().map(|x| x.to_bits()).collect()
 }
@@ -178,7 +183,8 @@ pub fn ended(sim: &Sim) -> usize {
     batch.terminated.iter().zip(&batch.truncated).filter(|(terminated, truncated)| **terminated || **truncated).count()
 }
 
-/// Whether heights on a grid of `pitch`, six of it to each side of a place, rise or fall by more than `step` between neighbours.
+/// Whether heights on a grid of `pitch`, six of it to each side of a place, rise or fall by more
+/// than `step` between neighbours.
 pub fn near_a_step(height: &impl Fn(f32, f32) -> f32, [x, y]: [f32; 2], pitch: f32, step: f32) -> bool {
     (-6..6).any(|i| {
         (-6..6).any(|j| {

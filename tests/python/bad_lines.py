@@ -17,9 +17,10 @@ Line = tuple[str, ...]
 Commands = dict[str, tuple[Line, dict[str, list[str | None]]]]
 """By command: a line of arguments that is in order, and the bad values of each flag.
 
-A bad value takes the place of what the line has for its flag: appended, it would end at the parser, as a flag that is
-given twice or an argument too many. The flag "" stands for positional arguments, the value None for a flag without a
-value. A command's name may be followed by a word that tells several lines of it apart.
+A bad value takes the place of what the line has for its flag: appended, it would end at the parser,
+as a flag that is given twice or an argument too many. The flag "" stands for positional arguments,
+the value None for a flag without a value. A command's name may be followed by a word that tells
+several lines of it apart.
 """
 
 

@@ -22,7 +22,8 @@ from common import FLAT_POLICY, ROBOTS, TASK, TINY
 
 Finished = subprocess.CompletedProcess[str]
 
-# pytest runs a worker per core. Torch reads this when it is imported, here and in processes that tests start.
+# pytest runs a worker per core. Torch reads this when it is imported, here and in processes that
+# tests start.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
@@ -204,14 +205,18 @@ def robot_loop() -> Any:
 
 @pytest.fixture(scope="session")
 def cpp_loop(built_once: Callable[..., Path], exported_policy: tuple[Path, Any]) -> Path | None:
-    """The program of `examples/deploy/policy_loop.cpp` for spot; None without a compiler or onnxruntime's headers."""
+    """The program of `examples/deploy/policy_loop.cpp` for spot.
+
+    None without a compiler or onnxruntime's headers.
+    """
     compiler, runtime = shutil.which("g++"), find_spec("onnxruntime")
     root = Path(os.environ.get("ONNXRUNTIME", "/usr/local"))
     folders = [root / "include", root / "include" / "onnxruntime", Path("/usr/include/onnxruntime")]
     include = next((folder for folder in folders if (folder / "onnxruntime_cxx_api.h").is_file()), None)
     if compiler is None or include is None or runtime is None or runtime.origin is None:
         return None
-    # a release has the library; otherwise that of the Python package serves, whose interface is the same
+    # a release has the library; otherwise that of the Python package serves, whose interface is the
+    # same
     libraries = [*root.glob("lib*/libonnxruntime.so*"), *Path(runtime.origin).parent.glob("capi/libonnxruntime.so*")]
     if not libraries:
         return None

@@ -21,7 +21,10 @@ CASES = [(policy, robot) for policy, robots in POLICIES.items() for robot in rob
 
 
 def fill(folder: Path) -> None:
-    """Exports every bundled policy for its robots. The rough task has little ground: none of it is in the files."""
+    """Exports every bundled policy for its robots.
+
+    The rough task has little ground: none of it is in the files.
+    """
     assert POLICIES.keys() == bundled.NAMES.keys()
     for policy, robots in POLICIES.items():
         checkpoint = bundled.checkpoint(policy)
@@ -36,7 +39,7 @@ def fill(folder: Path) -> None:
 
 
 def readings(contract, random):
-    """A measurement of a robot that leans a little, its joints within their limits, as keywords of `Sensors`."""
+    """Keywords of `Sensors` for a robot that leans a little, its joints within their limits."""
     lower = np.array([max(joint.lower, joint.default_pos - 0.5) for joint in contract.joints])
     upper = np.array([min(joint.upper, joint.default_pos + 0.5) for joint in contract.joints])
     quaternion = np.array([1.0, *(0.15 * random.standard_normal(3))])

@@ -2,8 +2,8 @@
 
 This saves seconds a run.
 
-A hang, an abort or a `kill -9` reaches the fork alone. The process is a fresh one: a fork of the tests' own would
-inherit what earlier tests have begun in it, such as torch's autograd.
+A hang, an abort or a `kill -9` reaches the fork alone. The process is a fresh one: a fork of the
+tests' own would inherit what earlier tests have begun in it, such as torch's autograd.
 """
 
 import contextlib

@@ -1,11 +1,12 @@
-"""Plays the bundled policies on makers' MuJoCo models and prints the table of docs/makers-models.md.
+"""Plays the bundled policies on makers' MuJoCo models; prints the table of docs/makers-models.md.
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab
     .venv/bin/python tests/python/measure_makers_models.py FOLDER/mjlab/.../xmls/g1.xml:unitree_g1
 
-Arguments are files, each with polypod's robot behind a colon, and flags of the play: `--policies flat,quadruped`,
-`--actuators model,policy`, `--contact asis`, `--json FILE` for all figures, a line for each row. Episodes last 40 s:
-twice forward at 0.8 m/s, turn at 0.6 rad/s, left at 0.5 m/s and stop, 5 s each.
+Arguments are files, each with polypod's robot behind a colon, and flags of the play: `--policies
+flat,quadruped`, `--actuators model,policy`, `--contact asis`, `--json FILE` for all figures, a line
+for each row. Episodes last 40 s: twice forward at 0.8 m/s, turn at 0.6 rad/s, left at 0.5 m/s and
+stop, 5 s each.
 """
 
 import argparse

@@ -280,7 +280,10 @@ _SMALL_COUNTS |= {"--num-envs": 64, "--seeds": 2, "--episodes": 2, "--parts": 3,
 
 
 def flag_value(draw: random.Random, flag: str) -> str:
-    """A value of any type. One that asks for work asks for little of it, or for more than any machine has."""
+    """A value of any type.
+
+    One that asks for work asks for little of it, or for more than any machine has.
+    """
     kind = draw.random()
     if flag in ("--minutes", "--seconds", "--warm-up"):
         return draw.choice(["0", "1e-9", "0.02", "-1", "nan", "-inf", "1e18", "1e308", word(draw)])
@@ -487,7 +490,8 @@ def steps_finitely(task: str, robots: list[str] | None, overrides: list[str], nu
 
     Returns 0 if all it shows is finite, 2 if it is refused, 4 if not finite.
 
-    Says so where every env ends in every step, which is in order. `fork_server.ForkServer.call` runs it in a process.
+    Says so where every env ends in every step, which is in order. `fork_server.ForkServer.call`
+    runs it in a process.
     """
     import numpy as np
 

@@ -1,4 +1,7 @@
-"""A robot made of an MJCF file is compared with MuJoCo's model of that file, by the harness of the library's robots."""
+"""A robot made of an MJCF file is compared with MuJoCo's model of that file.
+
+The harness is that of the library's robots.
+"""
 
 import dataclasses
 from pathlib import Path
@@ -22,7 +25,8 @@ TAIL = """
     <joint name="lift" axis="0 1 0" pos="0 0 0.03" range="-1 1"/>
     <geom type="box" size="0.03 0.01 0.01" mass="0.2" pos="-0.03 0 0"/>
   </body>"""
-"""A body with two joints, away from its origin and from their zeros, which nothing drives: both are locked."""
+"""A body with two joints, away from its origin and from their zeros, which nothing drives: both are
+locked."""
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +66,8 @@ def test_the_robot_keeps_the_bounds_against_its_file(added):
     assert set(fox.locked_joints) == {"wag", "lift"}
     assert [each.dtype for each in compare_file(fox)] == ["float64", "float32"]
     assert not bounds.exceeded(*compare_file(fox), compare_statics(fox, states=20))
-    # the tables' model is that of the file, hips with two joints in one body and held joints among it
+    # the tables' model is that of the file, hips with two joints in one body and held joints among
+    # it
     assert compare_statics(fox, states=2, dtype="float64").worst() < judge.BOUNDS["float64"]
 
 

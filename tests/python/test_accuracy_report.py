@@ -87,7 +87,8 @@ def test_every_measurement_has_its_row() -> None:
     )
     assert not measured.broken()
     text = tables(measured)
-    # eight tables, three of them with two rows: both precisions, engines, drops; and the bounds of ten figures
+    # eight tables, three of them with two rows: both precisions, engines, drops; and the bounds of
+    # ten figures
     assert text.count("| spot |") == 11 + 10
     for bound in BOUNDS:
         assert f"| {bound.quantity} |" in text

@@ -131,7 +131,8 @@ def test_a_urdf_is_drafted_beside_the_run_and_rewarded_like_the_robot_most_like_
     assert (run / "robot" / "my_dog.toml").is_file()
     manifest = json.loads((run / "manifest.json").read_text())
     assert manifest["robots"] == ["my_dog"]
-    # four legs: begun with the policy of joints, whose task has one set for quadrupeds of all weights
+    # four legs: begun with the policy of joints, whose task has one set for quadrupeds of all
+    # weights
     assert manifest["policy"]["class_name"] == "polypod.networks:UrmaModel"
     resolved = tomllib.loads((run / "params" / "env.toml").read_text())
     assert resolved["robots"]["my_dog"]["reward_set"] == "quadruped"
@@ -168,7 +169,8 @@ def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cl
 
 
 def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured):
-    # the robot does not walk, of two neighbours one does; the robot walks and the neighbour has forgotten; both walk
+    # the robot does not walk, of two neighbours one does; the robot walks and the neighbour has
+    # forgotten; both walk
     before = (bad(0.4), FIGURES, bad(0.4))
     forgotten, done_ = (FIGURES, bad(0.4), bad(0.4)), (FIGURES, FIGURES, bad(0.4))
     measured(*before, *forgotten, *done_, *done_)

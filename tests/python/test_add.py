@@ -308,7 +308,8 @@ SPRUNG = {
     'size="0.02" mass="0.8"/>': 'size="0.02" mass="0.8" condim="4" friction="0.6 .02" margin=".003"/>',
     'type="plane" size="0 0 1"': 'type="plane" size="0 0 1" friction="0.7 .005 .1"',
 }
-"""Changes of a fox: springs, feet that decide alone, thighs that are mixed with the ground, the ground."""
+"""Changes of a fox: springs, feet that decide alone, thighs that are mixed with the ground, the
+ground."""
 
 
 def test_springs_and_surfaces_are_those_of_the_file(tmp_path, written):
@@ -345,7 +346,8 @@ def test_springs_and_surfaces_are_those_of_the_file(tmp_path, written):
         "torsional_friction": 0.02,
         "contact_margin": 0.003,
     }
-    # the others touch it as all robots do: the ground's rolling friction has no part in contacts of condim 3
+    # the others touch it as all robots do: the ground's rolling friction has no part in contacts of
+    # condim 3
     assert len(config["surfaces"]) == 2
 
 

@@ -1,4 +1,4 @@
-"""`polypod deploy check` plays every bundled policy through its loop in both simulators; what differs is found."""
+"""`polypod deploy check` plays every bundled policy through its loop and finds differences."""
 
 import json
 
@@ -36,7 +36,7 @@ def test_every_bundled_policy_acts_through_the_loop_as_it_does(deployed_policies
 
 
 def changed(path, to, change):
-    """A graph whose contract says something else, consistently: a file of another mind than its network."""
+    """A graph whose contract consistently contradicts its network."""
     model = onnx.load(path)
     props = {entry.key: entry.value for entry in model.metadata_props}
     document = json.loads(props[contracts.KEY])

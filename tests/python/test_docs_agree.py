@@ -1,7 +1,7 @@
 """README, docs and code agree on numbers, features, names, paths and links.
 
-Each rule reads the pages and returns what is wrong. `test_rules_find_what_they_are_for` gives every rule a sentence
-that it must find, so that no rule passes because it reads nothing.
+Each rule reads the pages and returns what is wrong. `test_rules_find_what_they_are_for` gives every
+rule a sentence that it must find, so that no rule passes because it reads nothing.
 """
 
 import io
@@ -255,7 +255,10 @@ def trainings(pages: Pages) -> list[str]:
 
 
 def names(pages: Pages) -> list[str]:
-    """Tasks and robots that a page names in its text are built in. Tables of old trainings may name others."""
+    """Tasks and robots that a page names in its text are built in.
+
+    Tables of old trainings may name others.
+    """
     tasks = {name for task in _core.tasks() for name in (task["name"], *task["aliases"])}
     robots = {robot["name"] for robot in _core.robots()}
     makers = "|".join(sorted({robot.partition("_")[0] for robot in robots if "_" in robot} - {"box"}))

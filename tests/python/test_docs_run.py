@@ -1,7 +1,8 @@
 """The fenced blocks of the pages run, compile or parse, and the commands in them exist.
 
-A block of another language than those of `LANGUAGES` fails. `text` marks output and layouts; a block that cannot be
-checked says so in its first line, with the reason: three backticks and `bash no-run: needs a robot`.
+A block of another language than those of `LANGUAGES` fails. `text` marks output and layouts; a
+block that cannot be checked says so in its first line, with the reason: three backticks and `bash
+no-run: needs a robot`.
 """
 
 import contextlib

@@ -167,7 +167,8 @@ def learn(variant, folder, workers, device):
 
 
 SHARED = ("mirror_images", "images_in_turn", "masked", "advantages_of_mini_batches")
-"""Variants that two workers learn, one after the other: their processes take longer to start than to learn."""
+"""Variants that two workers learn, one after the other: their processes take longer to start than
+to learn."""
 
 
 @pytest.mark.parametrize("device", ["cpu", CUDA])

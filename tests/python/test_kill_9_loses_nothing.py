@@ -1,4 +1,7 @@
-"""A training that is killed at any moment leaves whole files. Once resumed, it ends as if nobody had killed it."""
+"""A training that is killed at any moment leaves whole files.
+
+Once resumed, it ends as if nobody had killed it.
+"""
 
 import contextlib
 import os
@@ -28,8 +31,8 @@ AIMS = {
     "curves": re.compile(r"events\.out\..*"),
     "any": None,
 }
-"""Moments of a kill by the file that is seen then: half a checkpoint or manifest, a checkpoint that the manifest does
-not know yet, new curves; "any": some time after a save."""
+"""Moments of a kill by the file that is seen then: half a checkpoint or manifest, a checkpoint that
+the manifest does not know yet, new curves; "any": some time after a save."""
 KILLS = size([("checkpoint", 0), ("manifest", 1), ("any", 2)], [(list(AIMS)[n % 5], n) for n in range(30)])
 
 

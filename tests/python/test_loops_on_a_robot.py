@@ -1,6 +1,7 @@
 """The loops of a deployed policy need no polypod, and every fault ends in the damping mode.
 
-They read the messages of makers in the makers' order, and give the same numbers in Python and in C++.
+They read the messages of makers in the makers' order, and give the same numbers in Python and in
+C++.
 """
 
 import dataclasses
@@ -191,7 +192,7 @@ def test_targets_and_commands_are_kept_within_their_limits(deployed_policies):
     command = loop.step(0.0, measured(loop), (9.0, -9.0, 0.1))
     np.testing.assert_array_equal(command.q, loop.upper)
     np.testing.assert_allclose(given[0]["velocity_commands"][0], [1.0, -1.0, 0.1], atol=1e-6)
-    # what the policy did counts as its last action, not what the limits left of it
+    # the policy's action counts as its last action, not the limited one
     loop.step(0.0, measured(loop), (9.0, -9.0, 0.1))
     np.testing.assert_array_equal(given[1]["last_action"][0], network(given[0])["actions"][0])
 
@@ -360,7 +361,7 @@ def test_ros_messages_that_lack_something_end_in_the_damping_mode(deployed_polic
 
 
 def unfolded():
-    """The contract of the bare network of a policy that remembers, and the network as the loop calls it."""
+    """The contract of a bare network that remembers, and the network as the loop calls it."""
     policy = bundled.checkpoint("quadruped")
     robot = interfaces(run_dir.read_manifest(policy), ["unitree_go2"])["unitree_go2"]
     said = {"name": "bare", "task": "x", "checkpoint_sha256": "0" * 64, "iteration": None, "polypod": "0"}
@@ -433,7 +434,10 @@ def line_of(now, sensors, velocity, outputs):
     ],
 )
 def test_the_loop_in_cpp_gives_the_same_numbers(deployed_policies, compiled, name, interface):
-    """Inputs of the graph and what the motors get, over walking, standing, faults and commands beyond their ranges."""
+    """Inputs of the graph and the motors' commands.
+
+    Over walking, standing, faults and commands beyond their ranges.
+    """
     if compiled is None:
         pytest.skip("needs a compiler of C++: c++, g++ or clang++")
     if name == "bare":

@@ -42,13 +42,15 @@ VARIANTS = {
         "run": {"normalize_advantage_per_robot": False},
         "algorithm": {"normalize_advantage_per_mini_batch": True},
     },
-    # few units: each number that enters one is a chance that roundings put it on the other side of 0
+    # few units: each number that enters one is a chance that roundings put it on the other side of
+    # 0
     "relu": {"actor": {"activation": "relu", "hidden_dims": [10, 6]}},
     "two_widths": {"actor": {"hidden_dims": [40, 24]}},
     "one_hidden_layer": {"critic": {"hidden_dims": [7]}},
     "tanh": {"actor": {"activation": "tanh"}, "critic": {"activation": "tanh", "obs_normalization": False}},
     "mirror_images": {"run": {"symmetry": True}},
-    # bodies with different joints in one batch, whose policies have no joints in common but for two of the bodies
+    # bodies with different joints in one batch, whose policies have no joints in common but for two
+    # of the bodies
     "masked": {"actor": {"init_std": 1.5}},
     "masked_adaptive_rate": {"actor": {"init_std": 1.5}, "algorithm": {"desired_kl": 1e-4}},
     "masked_mirror_images": {"actor": {"init_std": 1.5}, "run": {"symmetry": True}},
@@ -81,7 +83,8 @@ def train_config(changes, masked=False):
         base["run"]["task"] = "velocity_flat_joints"
     base["run"] |= {"num_envs": ENVS, "num_steps_per_env": STEPS, "learner": "native"}
     base["actor"]["init_std"] = 2.0  # robots fall within a second
-    # each sample and epoch is a chance that roundings put a ratio on the other side of the clip's edge
+    # each sample and epoch is a chance that roundings put a ratio on the other side of the clip's
+    # edge
     base["algorithm"]["num_learning_epochs"] = 2
     for section, values in changes.items():
         base[section] |= {key: value for key, value in values.items() if section != "critic" or key != "init_std"}
@@ -118,7 +121,8 @@ def assert_near(found, expected, what, tolerance=TOLERANCE):
 def of_signals(gradients):
     """Where gradients are more than roundings, which Adam brings to the size of the others.
 
-    Numbers that a robot's joints share differ by roundings from their mean, and so do the weights of such differences.
+    Numbers that a robot's joints share differ by roundings from their mean, and so do the weights
+    of such differences.
     """
     return gradients > 1e-3 * gradients.max()
 

@@ -105,7 +105,8 @@ def test_gradients_are_those_of_autograd_in_double_precision(critic, tmp_path):
 
     loss_of(runner, actor, critic_of, samples).backward()
     for name, model in before.items():
-        # a shift of all joints' attention changes no share: the derivative of its bias is a sum of roundings
+        # a shift of all joints' attention changes no share: the derivative of its bias is a sum of
+        # roundings
         whole = float(torch.cat([parameter.grad.flatten() for parameter in model.parameters()]).norm())
         parameters = zip(model.named_parameters(), runner._parameters(name), moments[name], strict=True)
         for (place, parameter), learnt, first in parameters:

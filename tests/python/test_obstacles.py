@@ -21,7 +21,8 @@ ROBOTS = ["unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2"]
 def climbed(task: str, robot: str) -> float:
     """How far the base rises in 6 s of walking forward at 0.6 m/s, m: the median of 16 robots.
 
-    From the mean of the first half second, on level ground, to the highest of a later one: bobbing does not count.
+    From the mean of the first half second, on level ground, to the highest of a later one: bobbing
+    does not count.
     """
     manifest = run_dir.read_manifest(FLAT_POLICY)
     policy = load_policy(run_dir.load_checkpoint(FLAT_POLICY), manifest["policy"])

@@ -1,4 +1,7 @@
-"""onnxruntime is imported in two places, which switch its telemetry off first: for polypod, and on a robot."""
+"""onnxruntime is imported in two places, which switch its telemetry off first.
+
+One is for polypod, one for a robot.
+"""
 
 import ast
 import os

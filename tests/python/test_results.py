@@ -198,7 +198,8 @@ def test_iterations_to_a_score_are_counted_on_the_smoothed_curve(tmp_path):
         write_run(tmp_path / "scratch" / f"seed{seed}", curves={tag: error_curve(at)}, seed=seed)
     found = results.read(tmp_path)
     text, _ = results.write(found, score=0.46)
-    # the mean of 0.8 and 0.1 is below 0.46 with as many of each: four of eight, five of ten after 20 and 24 iterations
+    # the mean of 0.8 and 0.1 is below 0.46 with as many of each: four of eight, five of ten after
+    # 20 and 24 iterations
     assert rows_of(text, "### Iterations to 0.46 m/s")["spot"] == ["0.460", "8", "27 (2 of 3)"]
     text, _ = results.write(found, baseline="scratch")
     goal = (0.1 + 0.1 + 0.8) / 3

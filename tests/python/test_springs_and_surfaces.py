@@ -76,7 +76,10 @@ def test_springs_move_a_robot_as_in_mujoco(tmp_path):
 
 
 def stand(config: str, *, slope: float = 0.0, seconds: float = 1.0, **options):
-    """Ways downhill and accelerations in the second half of the time, polypod's and MuJoCo's, and the two robots."""
+    """Distances downhill and accelerations in the second half, and the two robots.
+
+    From polypod and from MuJoCo.
+    """
     normal = (math.sin(slope), 0.0, math.cos(slope))
     friction, dt = options.pop("friction", 0.8), 0.002
     sim = polypod.Simulation(config, dt=dt, friction=friction, ground_normal=normal, threads=1, **options)

@@ -33,7 +33,8 @@ FOLDER = Path(__file__).parents[1] / "data/bodies/configs/robots"
 BODIES = ["unitree_go2", *(str(FOLDER / f"small_{kind}.toml") for kind in ("biped", "hexapod", "quadruped"))]
 """With 12, 8, 18 and 8 joints, 38 slots in all."""
 GENERAL, STATES, NUMBERS = 12, 3, 19
-"""Layout of the task: numbers that belong to no joint, numbers of a joint's state, numbers of its description."""
+"""Layout of the task: numbers that belong to no joint, numbers of a joint's state, numbers of its
+description."""
 
 
 def layout_of(joints):

@@ -1,4 +1,4 @@
-"""A robot and MuJoCo's model of the MJCF file that it comes from: what `polypod add` compares, in the tables."""
+"""A robot and MuJoCo's model of its MJCF file: the tables of what `polypod add` compares."""
 
 import dataclasses
 from typing import TYPE_CHECKING
@@ -25,7 +25,10 @@ class FileResult:
 
 
 def compare_file(robot: Robot) -> list[FileResult]:
-    """Compares masses, limits, dynamics and one step in both precisions; nothing for a robot without an MJCF file."""
+    """Compares masses, limits, dynamics and one step in both precisions.
+
+    Nothing for a robot without an MJCF file.
+    """
     # it imports this package
     from polypod.add import judge
 

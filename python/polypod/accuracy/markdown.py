@@ -103,11 +103,11 @@ def _sources(report: Report) -> str:
 
 
 def _slowest(report: Report) -> str:
-    """Sentence that names the robots of which the usual number of sweeps leaves more than the step."""
+    """Sentence that names the robots whose usual number of sweeps leaves more than the step."""
     names = [r.robot for r in report.sweeps if r.left[sweeps.USUAL] > r.step]
     if not names:
         return f"{sweeps.USUAL} sweeps leave less than the step."
-    return f"Of {', '.join(names)}, {sweeps.USUAL} sweeps leave more than the step."
+    return f"For {', '.join(names)}, {sweeps.USUAL} sweeps leave more than the step."
 
 
 def _hanging_robots(report: Report) -> str:

@@ -1,10 +1,12 @@
 """The file that a robot comes from, as MuJoCo compiles it.
 
-`polypod add` keeps the model of an MJCF file next to the robot's URDF (`polypod.add.kept`). A robot with such a file is
-compared with this model: its bodies, joints, armature, damping, dry friction and shapes are the file's. What the tables
-compare is set in the same way for all robots, see `polypod.accuracy.reference`: actuators and their limits, friction
-and stiffness of contacts, held joints. What polypod leaves out is off: springs, tendons, equality constraints, the
-medium, and shapes that the ground does not touch. All other robots are compared with MuJoCo's model of their URDF.
+`polypod add` keeps the model of an MJCF file next to the robot's URDF (`polypod.add.kept`). A robot
+with such a file is compared with this model: its bodies, joints, armature, damping, dry friction
+and shapes are the file's. The compared settings are the same for all robots, see
+`polypod.accuracy.reference`: actuators and their limits, friction and stiffness of contacts, held
+joints. Features that polypod leaves out are off: springs, tendons, equality constraints, the
+medium, and shapes that the ground does not touch. All other robots are compared with MuJoCo's model
+of their URDF.
 """
 
 import dataclasses
@@ -28,7 +30,8 @@ class Origin:
     made: mjcf.Compiled
     described: Description
     links: Mapping[int, tuple[str, Array]]
-    """Link of each body of the robot, by the body's number, and its origin in the body's frame, m."""
+    """Link of each body of the robot, by the body's number, and its origin in the body's frame,
+    m."""
     joints: Mapping[int, str]
     """Names of the robot's joints by their numbers."""
     touching: frozenset[int]
@@ -45,7 +48,9 @@ class Origin:
         return dict(self.links.values())
 
     def spec(self, lock: Callable[[Any, str, float], None], held: Mapping[str, float]) -> Any:
-        """`mujoco.MjSpec` of the robot alone at the world's origin, its base fixed, without actuators and ground.
+        """`mujoco.MjSpec` of the robot alone at the world's origin, its base fixed.
+
+        It has no actuators and no ground.
 
         Args:
             lock: holds a joint of a spec, by its name, at a position.
@@ -114,7 +119,7 @@ def _tops(spec: Any) -> list[Any]:
 
 
 def find(source: str, urdf_key: str, base: str) -> Origin | None:
-    """The MJCF file of a robot; None where it has none, or where its base is another body than polypod's.
+    """The MJCF file of a robot; None without one, or if its base is another body than polypod's.
 
     Args:
         source: name of the robot, or path of its config.

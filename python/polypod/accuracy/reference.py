@@ -1,28 +1,36 @@
-"""MuJoCo's model of a robot, compiled by MuJoCo itself from the URDF that polypod reads, or from the robot's MJCF file.
+"""MuJoCo's model of a robot, from the URDF that polypod reads or from its MJCF file.
+
+MuJoCo itself compiles it.
 
 Settings that differ from MuJoCo's defaults, and the reasons:
 
-- `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a root link without a
-  joint into the world. polypod merges them too but keeps their names as contact bodies; links are compared by name.
+- `fusestatic` off: MuJoCo would merge the feet, which hang on fixed joints, into the shanks, and a
+  root link without a joint into the world. polypod merges them too but keeps their names as contact
+  bodies; links are compared by name.
 - Joints that the robot's config locks are taken out, at the position in which they are held.
-- A free joint on the root link, unless the base is fixed. qpos and qvel then mean what polypod's do: joints may come in
-  another order, which is matched by name.
-- Position actuators with the gains of the robot's config, its armature, and their limits of effort. The URDF's own
-  `effort` becomes a limit of the joint in MuJoCo; it is taken off, since a robot's config may state another.
-- Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states others. Springs:
-  those of the config.
-- Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8 mrad in a second).
-  Its time constant is set to two steps and its impedance to 0.9999, which makes it Coulomb's.
-- Limits of effort, position limits and speed limits, where `bounded`: see `polypod.accuracy.limits`.
+- A free joint on the root link, unless the base is fixed. qpos and qvel then mean what polypod's
+  do: joints may come in another order, which is matched by name.
+- Position actuators with the gains of the robot's config, its armature, and their limits of effort.
+  The URDF's own `effort` becomes a limit of the joint in MuJoCo; it is taken off, since a robot's
+  config may state another.
+- Joint damping and dry friction: those of the URDF, as in polypod, unless the robot's config states
+  others. Springs: those of the config.
+- Dry friction is a soft constraint in MuJoCo: with default settings a joint at rest creeps (up to 8
+  mrad in a second). Its time constant is set to two steps and its impedance to 0.9999, which makes
+  it Coulomb's.
+- Limits of effort, position limits and speed limits, where `bounded`: see
+  `polypod.accuracy.limits`.
 - Shapes touch the ground alone, not each other.
-- Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim` 3), with torsional
-  friction in four, with rolling friction in six. A surface of the config has a priority above the ground's, and the
-  coefficients that polypod combines. The contact is made as stiff as the step allows: time constant 2
-  steps, impedance 0.99 to 0.999, friction 100 times as stiff as the normal direction (`impratio`). With default
-  settings a standing robot's feet creep apart and it sinks by centimetres.
-- `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the mass of their spheres.
-  `balanceinertia`, `boundmass`, `discardvisual`, `strippath` and `alignfree` do not matter: inertias are valid, no mesh
-  is read, visuals have no mass and a free base keeps the frame of its link.
+- Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim`
+  3), with torsional friction in four, with rolling friction in six. A surface of the config has a
+  priority above the ground's, and the coefficients that polypod combines. The contact is made as
+  stiff as the step allows: time constant 2 steps, impedance 0.99 to 0.999, friction 100 times as
+  stiff as the normal direction (`impratio`). With default settings a standing robot's feet creep
+  apart and it sinks by centimetres.
+- `inertiafromgeom` is off in the URDFs themselves: else MuJoCo would give the massless feet the
+  mass of their spheres. `balanceinertia`, `boundmass`, `discardvisual`, `strippath` and `alignfree`
+  do not matter: inertias are valid, no mesh is read, visuals have no mass and a free base keeps the
+  frame of its link.
 """
 
 import dataclasses
@@ -98,7 +106,8 @@ class Ground:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     """Normal of the plane; of unit length."""
     soft: bool = False
-    """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that the step allows."""
+    """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that
+    the step allows."""
     heights: Heights | None = None
     """In place of the plane."""
     torsional_friction: float = 0.0
@@ -125,7 +134,10 @@ def version() -> str:
 
 
 def states(model: Any, count: int, flag: str) -> list[Any]:
-    """Makes states of a model. Raises ConfigError, which names the flag to lower, where memory is short."""
+    """Makes states of a model.
+
+    Raises ConfigError, which names the flag to lower, where memory is short.
+    """
     mj = mujoco()
     try:
         return [mj.MjData(model) for _ in range(count)]
@@ -172,7 +184,8 @@ class Reference:
             locked_joints: joints of the URDF that do not move, and their positions, rad or m.
             surfaces: of links that differ from the rest of the robot where they touch the ground.
             bounded: whether `step` holds the limits of the actuators and of the joints.
-            joint_range: position limits of these joints in the place of the file's, [joints, 2], rad or m.
+            joint_range: position limits of these joints in the place of the file's, [joints, 2],
+                rad or m.
             origin: the MJCF file that the robot comes from, in the place of the URDF.
         """
         mj = mujoco()
@@ -380,7 +393,10 @@ def surface_of(link: str, surfaces: tuple[Surface, ...]) -> Surface | None:
 
 
 def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...]) -> None:
-    """Gives geoms the surfaces of their links. Each decides alone: the ground's numbers are in its own already."""
+    """Gives geoms the surfaces of their links.
+
+    Each decides alone: the ground's numbers are in its own already.
+    """
     for geom in spec.geoms:
         surface = surface_of(geom.parent.name, surfaces)
         if surface is None:

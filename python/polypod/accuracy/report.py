@@ -57,7 +57,7 @@ class Report:
     fallen: list[str]
     """Robots that fall in their default pose, although their configs do not say so."""
     files: list[FileResult] = dataclasses.field(default_factory=list)
-    """Of robots that come from MJCF files."""
+    """Results of robots that come from MJCF files."""
     origins: dict[str, Path] = dataclasses.field(default_factory=dict)
     """The MJCF files by robot."""
 
@@ -81,7 +81,7 @@ class Report:
         return max(figures, key=lambda figure: math.inf if math.isnan(figure[1]) else figure[1], default=None)
 
     def verdict(self) -> str:
-        """One line on a report that keeps all bounds: the largest figure, as a share of its bound."""
+        """One line on a report that keeps all bounds: its largest figure over the bound."""
         found = [(worst[1] / bound.most, bound, worst) for bound in BOUNDS if (worst := self.worst(bound)) is not None]
         _, bound, (name, figure) = max(found, key=lambda entry: entry[0])
         return (

@@ -27,8 +27,8 @@ Array = npt.NDArray[np.float64]
 class Actuators:
     """Position actuators in the order of the robot's joints; infinity where there is no limit.
 
-    The effort is `stiffness (target - q) - damping qd`, held within the torque-speed line of a DC motor, where there is
-    one, and within the effort limit or its table over the joint angle.
+    The effort is `stiffness (target - q) - damping qd`, held within the torque-speed line of a DC
+    motor, where there is one, and within the effort limit or its table over the joint angle.
     """
 
     stiffness: Array
@@ -114,7 +114,8 @@ class Robot:
     urdf_file: str
     """`urdf` of its config."""
     narrowed: tuple[tuple[float, float], ...]
-    """Position limits that its config states in the place of the file's, in the directions of slots, rad or m."""
+    """Position limits that its config states in the place of the file's, in the directions of
+    slots, rad or m."""
     origin: "Origin | None" = None
     """The MJCF file that it comes from; None: it is compared with MuJoCo's model of its URDF."""
     surfaces: tuple[Surface, ...] = ()
@@ -240,8 +241,8 @@ def _actuators(
 ) -> Actuators:
     """Actuators of all joints from their groups' tables.
 
-    `signs` are -1 where a joint turns the other way round than its slot, whose direction configs are in. The limits are
-    those that polypod holds, wherever they are stated.
+    `signs` are -1 where a joint turns the other way round than its slot, whose direction configs
+    are in. The limits are those that polypod holds, wherever they are stated.
     """
 
     def table(row: dict[str, Any], sign: float) -> Array | None:

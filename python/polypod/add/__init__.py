@@ -1,8 +1,8 @@
 """`polypod add`: any description of a legged robot becomes a robot of a library.
 
-`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a `description`, `kept` writes
-MuJoCo's model into one file, `urdf` copies a URDF, `toml` puts what the file says of actuators into the draft, and
-`judge` compares the robot with MuJoCo's model.
+`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a
+`description`, `kept` writes MuJoCo's model into one file, `urdf` copies a URDF, `toml` puts what
+the file says of actuators into the draft, and `judge` compares the robot with MuJoCo's model.
 """
 
 import contextlib
@@ -76,8 +76,10 @@ def add(
     """Adds a robot to a library of the user's.
 
     Args:
-        source: a URDF, xacro, MJCF or zip file, a folder, `robot_descriptions:NAME` or `mujoco_menagerie:NAME`.
-        out: the library's folder, with `configs/robots/` and `assets/robots/` in it; it is made if it is not there.
+        source: a URDF, xacro, MJCF or zip file, a folder, `robot_descriptions:NAME` or
+            `mujoco_menagerie:NAME`.
+        out: the library's folder, with `configs/robots/` and `assets/robots/` in it; it is made if
+            it is not there.
         file: the file within a folder or zip file, where several could be the robot.
         root: the body of an MJCF scene that is the robot's base, where several could be.
         name: the robot's name; None: the file's.
@@ -132,7 +134,10 @@ def _unwritable(out: Path, error: OSError) -> _core.ConfigError:
 
 
 def identifier(name: str) -> str:
-    """Small letters, digits and underscores, as robots are named. Raises ConfigError where none is left."""
+    """Small letters, digits and underscores, as robots are named.
+
+    Raises ConfigError where none is left.
+    """
     words = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name.lower()).split()
     if not words:
         raise _core.ConfigError(f"{name[:80]!r} has no letter or digit; pass a --name such as my_robot")

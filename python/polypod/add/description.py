@@ -18,7 +18,7 @@ class Surface:
     """Coefficient of sliding friction."""
     torsional_friction: float = 0.0
     rolling_friction: float = 0.0
-    """m."""
+    """Torsional friction, m."""
     contact_margin: float = 0.0
     """Distance from the ground at which contact begins, m."""
 
@@ -80,7 +80,7 @@ class Joint:
     v: int
     """Its place in MuJoCo's velocities."""
     stiffness: float = 0.0
-    """Of the joint's passive spring, N m/rad or N/m; 0: it has none."""
+    """Stiffness of the joint's passive spring, N m/rad or N/m; 0: it has none."""
     rest: float = 0.0
     """Position at which the spring is at rest, rad or m."""
 

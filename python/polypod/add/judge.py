@@ -1,9 +1,10 @@
 """Whether a robot in polypod moves as MuJoCo's model of the file that it comes from.
 
-Compared at random states: masses, joint limits, mass matrix, bias forces, accelerations under random torques, and one
-physics step with the joints' damping, springs and dry friction. What polypod leaves out is switched off in MuJoCo's
-model: contacts, equality constraints, tendons, the medium, and what resists the free joint. Joints that polypod holds
-carry an infinite rotor there.
+Compared at random states: masses, joint limits, mass matrix, bias forces, accelerations under
+random torques, and one physics step with the joints' damping, springs and dry friction. Features
+that polypod leaves out are switched off in MuJoCo's model: contacts, equality constraints, tendons,
+the medium, and resistance of the free joint. Joints that polypod holds carry an infinite rotor
+there.
 """
 
 import copy
@@ -26,7 +27,8 @@ BOUNDS = {"float64": 1e-6, "float32": 1e-4}
 HEAVY = 1e12
 """Armature of a joint that is held, kg m^2."""
 DT = 1e-5
-"""Physics step of the comparison, s: so short that no joint turns round or reaches a limit in it."""
+"""Physics step of the comparison, s: so short that no joint turns round or reaches a limit in
+it."""
 FASTEST = 5.0
 """Largest speed of a joint, rad/s or m/s."""
 MARGIN = 0.05
@@ -51,7 +53,8 @@ class Errors:
     bias_force: float
     forward_dynamics: float
     physics_step: float
-    """Of what one step with damping, springs and dry friction adds to the velocity; over the velocity in float32."""
+    """Error of the velocity change in one step with damping, springs and dry friction; over the
+    velocity in float32."""
 
     def worst(self) -> float:
         """The largest of the errors."""
@@ -81,7 +84,8 @@ def compare(
         states: random states.
         seed: of the states.
         speed_limits: of the actuators, rad/s or m/s; None: those of the TOML.
-        narrowed: position limits that the config states in the place of the file's; None: those of the TOML.
+        narrowed: position limits that the config states in the place of the file's; None: those of
+            the TOML.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -218,7 +222,8 @@ class _Reference:
         turn = matrix(qpos[3:7]) @ self.turn_base.T
         lever = turn @ self.at_base
         to_root = np.eye(len(self.v))
-        # the base's velocity is that of a point of the root, and its angular velocity is in axes of the base
+        # the base's velocity is that of a point of the root, and its angular velocity is in axes of
+        # the base
         to_root[:3, 3:6] = _cross(lever) @ turn @ self.turn_base
         to_root[3:6, 3:6] = self.turn_base
         data.qpos[:] = self.rest

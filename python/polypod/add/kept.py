@@ -1,10 +1,10 @@
 """The model that MuJoCo makes of an MJCF file, as one MJCF file without others that it needs.
 
-`polypod add` keeps it next to the robot: `polypod accuracy` compares the robot with it, and `sim2sim --model` plays
-policies on it. MuJoCo writes its own files with six digits; here every number of what moves, touches or pulls is the
-compiled one, to the last digit. What is only shown is left out: pictures, materials, lights, cameras and shapes that
-touch nothing. Shapes of meshes are the convex hulls that MuJoCo touches with. The text is compiled again and compared
-before it is kept.
+`polypod add` keeps it next to the robot: `polypod accuracy` compares the robot with it, and
+`sim2sim --model` plays policies on it. MuJoCo writes its own files with six digits; here every
+number of what moves, touches or pulls is the compiled one, to the last digit. Visual parts are left
+out: pictures, materials, lights, cameras and shapes that touch nothing. Shapes of meshes are the
+convex hulls that MuJoCo touches with. The text is compiled again and compared before it is kept.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,7 @@ import numpy as np
 from polypod.add.mjcf import Reader, mujoco
 
 NAME = "mujoco.xml"
-"""Of the file, next to the robot's URDF."""
+"""Name of the file, next to the robot's URDF."""
 EXACT = 1e-9
 """Largest relative difference of a number of the file, compiled again."""
 _SHOWN = ("visual", "statistic", "asset", "sensor", "custom", "size")
@@ -32,7 +32,10 @@ _COMPARED = (
 
 
 def text(reader: Reader) -> str | None:
-    """The file of a model; None where it cannot be written so that MuJoCo compiles the same model from it."""
+    """The file of a model.
+
+    None where it cannot be written so that MuJoCo compiles the same model from it.
+    """
     made = reader.made
     try:
         root = ElementTree.fromstring(made.spec.to_xml())
@@ -75,7 +78,8 @@ def _rewrite(root: ElementTree.Element, reader: Reader) -> None:
     compiler.attrib.update({"angle": "radian", "inertiafromgeom": "false", "autolimits": "false"})
     for parent in root.iter("default"):
         for element in list(parent):
-            # every joint and geom states its own numbers, and MuJoCo's writer leaves angles here in degrees
+            # every joint and geom states its own numbers, and MuJoCo's writer leaves angles here in
+            # degrees
             if element.tag in ("joint", "geom", "mesh", "material"):
                 parent.remove(element)
             elif element.tag == "site":
@@ -167,7 +171,7 @@ def _bodies(world: ElementTree.Element, reader: Reader, assets: ElementTree.Elem
 
 
 def _unwrap(element: ElementTree.Element) -> None:
-    """Puts what is in frames into the body itself: numbers of the compiled model count from the body."""
+    """Moves the content of frames into the body: numbers of the compiled model count from it."""
     while (frame := element.find("frame")) is not None:
         element.remove(frame)
         element.extend(list(frame))
@@ -209,7 +213,7 @@ def _joint(element: ElementTree.Element, reader: Reader, joint: int) -> None:
 
 
 def _polynomial(model: Any, name: str, index: int) -> Any:
-    """A number of a joint; from MuJoCo 4 on with the coefficients of higher powers, where there are any."""
+    """A number of a joint; from MuJoCo 4 on with the coefficients of higher powers, if any."""
     higher = getattr(model, f"{name}poly", None)
     linear = np.atleast_1d(getattr(model, name)[index])
     return linear if higher is None or not np.any(higher[index]) else np.concatenate([linear, higher[index]])

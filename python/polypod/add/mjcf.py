@@ -3,16 +3,19 @@
 MuJoCo itself reads the file. Nobody else knows defaults, classes, frames, replicas, includes and
 attachments, and the compiled model has them all resolved. These parts are taken from it:
 
-- A body is a link. A body with several joints is a chain of links, all but the last of which weigh `TOKEN`. This mass
-  is taken off the body where it lies, in the anchor of the joint, so that anchors in one point change nothing.
+- A body is a link. A body with several joints is a chain of links, all but the last of which weigh
+  `TOKEN`. This mass is taken off the body where it lies, in the anchor of the joint, so that
+  anchors in one point change nothing.
 - A joint away from its body's origin moves the link's frame to the joint.
-- A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is turned back by it.
+- A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is
+  turned back by it.
 - Springs of joints are written down with the position at which they are at rest.
-- Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else one with `contype`
-  and `conaffinity` 1, and what `<pair>` names together with something of the scene. Friction, `condim`, `priority`,
-  `margin` and `gap` are mixed with those of the ground by MuJoCo itself; shapes of one body that differ in the result
-  become links of their own.
-- Of the end of a limb with several shapes, those that stand on the ground become a link of their own, the foot.
+- Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else
+  one with `contype` and `conaffinity` 1, and what `<pair>` names together with something of the
+  scene. Friction, `condim`, `priority`, `margin` and `gap` are mixed with those of the ground by
+  MuJoCo itself; shapes of one body that differ in the result become links of their own.
+- Of the end of a limb with several shapes, those that stand on the ground become a link of their
+  own, the foot.
 - Actuators at one joint are added up. Gains and limits are those at the joint: both count `gear`.
 """
 
@@ -40,7 +43,8 @@ POSES = ("home", "stand", "standing", "default", "init", "initial")
 FOOT_NAMES = re.compile(r"foot|feet|toe|sole|ankle_?roll|^(fl|fr|rl|rr|hl|hr|lf|rf|lh|rh)\d*$", re.IGNORECASE)
 """Names of geoms that stand on the ground."""
 SOLE = 0.01
-"""Shapes of a limb's end whose lowest points are this close to the lowest one stand on the ground, m."""
+"""Shapes of a limb's end whose lowest points are this close to the lowest one stand on the ground,
+m."""
 ROUND = 1e-3
 """Relative difference up to which an ellipsoid is a sphere."""
 PLAIN = (3, (1.0, 0.005, 0.0001), 0.0, 0.0, 0)
@@ -87,8 +91,8 @@ def listed(names: list[str]) -> str:
 def compiled(file: Path, root: str | None = None) -> Compiled:
     """Compiles an MJCF file with MuJoCo.
 
-    The base gets a free joint where the file has none. Textures and skins are left out, and so are meshes that neither
-    touch anything nor give a mass, whose files may be missing.
+    The base gets a free joint where the file has none. Textures and skins are left out, and so are
+    meshes that neither touch anything nor give a mass, whose files may be missing.
 
     Args:
         file: the MJCF file.
@@ -229,7 +233,10 @@ def _base(mj: Any, spec: Any, file: Path, root: str | None) -> Any:
 
 
 def _float(mj: Any, base: Any, file: Path, notes: list[str]) -> None:
-    """Gives the base a free joint, if the file has none. Raises ConfigError where it moves on rails."""
+    """Gives the base a free joint, if the file has none.
+
+    Raises ConfigError where it moves on rails.
+    """
     joints = list(base.joints)
     if any(joint.type == mj.mjtJoint.mjJNT_FREE for joint in joints):
         return
@@ -245,7 +252,10 @@ def _float(mj: Any, base: Any, file: Path, notes: list[str]) -> None:
 
 
 def read(file: Path, root: str | None = None) -> tuple[Compiled, Description]:
-    """Reads an MJCF file. Raises ConfigError where it describes no robot that polypod could hold."""
+    """Reads an MJCF file.
+
+    Raises ConfigError where it describes no robot that polypod could hold.
+    """
     made = compiled(file, root)
     return made, Reader(mujoco(), made, file).description()
 
@@ -264,7 +274,8 @@ class Reader:
         self._ellipsoids: dict[str, float] = {}
         self._place: dict[int, tuple[int, Array]] = {}
         self.link_of: dict[int, tuple[str, Array]] = {}
-        """Link that carries what hangs on a body, and its origin in the body's frame, m; after `description`."""
+        """Link that carries what hangs on a body, and its origin in the body's frame, m; after
+        `description`."""
         self.data = mj.MjData(self.model)
         self.key, self.home = self._home()
         self.data.qpos[:] = self.home
@@ -298,7 +309,10 @@ class Reader:
         return name
 
     def _home(self) -> tuple[str | None, Array]:
-        """Name and positions of the keyframe that the robot stands in; without any the written positions."""
+        """Name and positions of the keyframe that the robot stands in.
+
+        Without any, the written positions.
+        """
         names = [self.named("KEY", key) for key in range(self.model.nkey)]
         found = [names.index(name) for name in POSES if name in names] or list(range(len(names)))
         if not found:
@@ -567,7 +581,10 @@ class Reader:
     # Shapes
 
     def floor(self) -> tuple[int, int]:
-        """`contype` and `conaffinity` of the file's ground; of a plane that touches everything, if it has none."""
+        """`contype` and `conaffinity` of the file's ground.
+
+        Without ground, those of a plane that touches everything.
+        """
         model, ground = self.model, self._ground()
         return (1, 1) if ground is None else (int(model.geom_contype[ground]), int(model.geom_conaffinity[ground]))
 
@@ -701,7 +718,10 @@ class Reader:
         return None
 
     def vertices(self, geom: int) -> tuple[Array, Any]:
-        """Corners and faces of the convex hull of a geom's mesh; all corners where MuJoCo has made no hull."""
+        """Corners and faces of the convex hull of a geom's mesh.
+
+        All corners where MuJoCo has made no hull.
+        """
         model = self.model
         mesh = int(model.geom_dataid[geom])
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -807,7 +827,8 @@ def mixed(geom: tuple[Any, ...], ground: tuple[Any, ...] | None) -> Surface:
     """How a geom touches the ground: MuJoCo mixes the two in a scene with a ball that has the geom's numbers.
 
     Args:
-        geom: `condim`, friction, margin, gap and priority of one side; of a `<pair>` all but the priority.
+        geom: `condim`, friction, margin, gap and priority of one side; of a `<pair>` all but the
+            priority.
         ground: of the other side; None for a pair.
     """
     mj = mujoco()
@@ -846,13 +867,15 @@ BALL_POINTS = 32
 _COSINE = 0.922602
 """Cosine of the largest angle between a direction and the nearest of the points on a sphere."""
 BALL_ERROR = (1.0 - _COSINE) / (1.0 + _COSINE)
-"""Largest error of the height over the ground at which an ellipsoid touches it, as a share of the longest half axis."""
+"""Largest error of the height over the ground at which an ellipsoid touches it, as a share of the
+longest half axis."""
 
 
 def ball(size: Array) -> tuple[Array, Any]:
     """Corners and faces of a polyhedron for an ellipsoid with these half axes: it is as far within as beyond it.
 
-    A linear map of a sphere keeps shares: the corners are those of an icosahedron and a dodecahedron on a sphere.
+    A linear map of a sphere keeps shares: the corners are those of an icosahedron and a
+    dodecahedron on a sphere.
     """
     golden = 0.5 * (1.0 + np.sqrt(5.0))
     signs = [-1.0, 1.0]

@@ -127,7 +127,10 @@ def _surfaces(robot: Description) -> list[str]:
 
 
 def _actuators(groups: Mapping[str, Any], own: Mapping[str, Joint], signs: Mapping[str, float]) -> list[str]:
-    """Tables of actuators, where the file says anything of them; joints with the same figures are a group."""
+    """Tables of actuators, where the file says anything of them.
+
+    Joints with the same figures are a group.
+    """
     if not any(joint.drive is not None or joint.armature or joint.stiffness for joint in own.values()):
         return []
     tables: dict[tuple[tuple[str, float], ...], list[str]] = {}

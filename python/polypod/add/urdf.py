@@ -136,8 +136,9 @@ def _new_name(place: Path, taken: Mapping[str, bytes]) -> str:
 def reference(text: str, base: str, held: Mapping[str, float]) -> tuple[Any, int, Description]:
     """MuJoCo's model of a URDF, the base's body in it, and what to compare.
 
-    Only what moves is compiled: shapes have no mass in a URDF whose links have one. Where MuJoCo refuses the inertia of
-    a link, links on fixed joints are merged into those that move them first: as in polypod, only the sum counts.
+    Only what moves is compiled: shapes have no mass in a URDF whose links have one. Where MuJoCo
+    refuses the inertia of a link, links on fixed joints are merged into those that move them first:
+    as in polypod, only the sum counts.
 
     Args:
         text: the URDF's, unchanged.

@@ -67,7 +67,9 @@ class Silent(Reporter):
 def training(
     options: Options, learner: str, device: str, precision: str = "off", workers: Workers | None = None
 ) -> Iterator[Runner]:
-    """A new training in a folder that goes when the context ends. Raises ConfigError like `polypod train`.
+    """A new training in a folder that goes when the context ends.
+
+    Raises ConfigError like `polypod train`.
 
     Args:
         options: what to train.

@@ -22,7 +22,8 @@ from polypod.runs import config
 from polypod.training.workers import Workers
 
 ITERATIONS = 8
-"""Timed after one that is not. The fastest one counts: whatever else the machine does makes workers wait."""
+"""Timed after one that is not. The fastest one counts: whatever else the machine does makes workers
+wait."""
 NETWORKS = {"1 Gbit/s": 1e9 / 8, "10 Gbit/s": 1e10 / 8, "100 Gbit/s": 1e11 / 8}
 """Bytes per second that a worker sends, of the networks that limits are given for."""
 CUDA = "cuda"

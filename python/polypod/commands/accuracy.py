@@ -14,7 +14,10 @@ from polypod.commands.arguments import Robots, arg, check_names, names
 
 @dataclasses.dataclass(frozen=True)
 class Accuracy:
-    """Compare robots with MuJoCo's models of their files; exit code 1 where a figure exceeds its bound."""
+    """Compare robots with MuJoCo's models of their files.
+
+    The exit code is 1 where a figure exceeds its bound.
+    """
 
     robot: Annotated[str | None, tyro.conf.Positional, arg(metavar="ROBOT")] = None
     """A robot's name or the path of its config, built in or added. Default: those of --robots."""

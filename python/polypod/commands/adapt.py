@@ -29,7 +29,8 @@ class Adapt:
     """Let a bundled policy learn to walk with one robot, in minutes."""
 
     robot: Annotated[str, tyro.conf.Positional, arg(metavar="ROBOT")]
-    """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a config is drafted."""
+    """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a
+    config is drafted."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """Policy to begin with: a model_<n>.pt next to its manifest.json, the name of a run, or a
     bundled policy. Default: quadruped for four legs; for others legged if it has a column for every
@@ -42,8 +43,8 @@ class Adapt:
     every: int = 10
     """Iterations between two measurements."""
     train_config: Name = None
-    """Learner's settings: the name of a train config or the path of a .toml. Networks and task are the policy's.
-    Default: adapt."""
+    """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
+    the policy's. Default: adapt."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")
@@ -57,7 +58,8 @@ class Adapt:
     lock: Locks = ()
     """Holds a joint of a URDF at a position, rad or m: an arm, a wheel. May be repeated."""
     set: Overrides = ()
-    """Changes the task's configuration, or with train. before the key the train config. May be repeated."""
+    """Changes the task's configuration, or with train. before the key the train config. May be
+    repeated."""
 
     def run(self) -> int:
         """Runs the command.

@@ -31,7 +31,8 @@ class Add:
     xacro_arg: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="NAME=VALUE")] = ()
     """An argument of a xacro file. May be repeated."""
     foot: Feet = ()
-    """The link that is the foot of a leg, where geometry does not tell: LF=toe_link. May be repeated."""
+    """The link that is the foot of a leg, where geometry does not tell: LF=toe_link. May be
+    repeated."""
     role: Roles = ()
     """The joint of a slot, where geometry does not tell: LF_HFE=thigh_joint. May be repeated."""
     lock: Locks = ()

@@ -22,7 +22,8 @@ class Bench:
     walk: bool = False
     """Measure instead the time and the samples until all robots walk."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
-    """Measure trainings with these numbers of workers instead, which share the same cores: for example 1,2,4."""
+    """Measure trainings with these numbers of workers instead, which share the same cores: for
+    example 1,2,4."""
     kinds: Annotated[str | None, arg(metavar="ROBOT,ROBOT")] = None
     """Measure instead a batch of these kinds of bodies and the same kinds one by one; `all`:
     sixteen kinds with two, four and six legs."""

@@ -41,7 +41,10 @@ def _exists(path: Path) -> bool:
 
 
 def _of_robot(source: str, dirs: dict[str, str], held: dict[str, float]) -> str:
-    """What the URDF of a robot is read as, with the joints held that its config holds. Raises ConfigError."""
+    """What the URDF of a robot is read as, with the joints held that its config holds.
+
+    Raises ConfigError.
+    """
     from polypod.compat import tomllib
     from polypod.new_robot import TASK_OF_OTHERS
     from polypod.robot_files import urdf_file

@@ -12,14 +12,16 @@ from polypod.commands.arguments import Name, Overrides, arg, check_names, names,
 
 @dataclasses.dataclass(frozen=True)
 class Deploy:
-    """Check an exported policy of one robot in both simulators, or write what its loop needs; needs the extra export.
+    """Check an exported policy of one robot in both simulators, or write its loop's files.
+
+    Needs the extra export.
 
     Exit code 3 when the loop does not act as the policy does.
     """
 
     action: Annotated[Literal["check", "write", "show"], tyro.conf.Positional]
-    """check: play the file through its loop in polypod and MuJoCo. write: the file, its contract and the loops in
-    Python and C++, in one folder. show: print the contract."""
+    """check: play the file through its loop in polypod and MuJoCo. write: the file, its contract
+    and the loops in Python and C++, in one folder. show: print the contract."""
     file: Annotated[Path, tyro.conf.Positional]
     """A policy_<robot>.onnx of polypod export --robots."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
@@ -27,8 +29,8 @@ class Deploy:
     robot: Name = None
     """With check: name or config of the robot. Default: the one that the contract names."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With check: the policy to compare with. Default: the one of the export where it is found, else the network in the
-    file."""
+    """With check: the policy to compare with. Default: the one of the export where it is found,
+    else the network in the file."""
     simulators: Annotated[str, arg(metavar="A,B")] = "polypod,mujoco"
     """With check: where to play; mujoco needs the extra bench."""
     num_envs: Annotated[int, arg(metavar="N")] = 4
@@ -40,7 +42,8 @@ class Deploy:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """With check: also write the figures to this file."""
     set: Overrides = ()
-    """With check: changes the task's configuration, on top of the run's own changes. May be repeated."""
+    """With check: changes the task's configuration, on top of the run's own changes. May be
+    repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -31,17 +31,19 @@ class Eval:
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Literal["walking", "task"] = "walking"
-    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; or commands as
-    the task draws them."""
+    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among
+    them; or commands as the task draws them."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Instead, let each episode hold one command of this many forward and left velocities and yaw rates."""
+    """Instead, let each episode hold one command of this many forward and left velocities and yaw
+    rates."""
     gate: bool = False
-    """Measure instead the published gate of nanoG1: falls and score over six commands, smoothness of a walk ahead. The
-    exit code is 3 where a robot does not pass."""
+    """Measure instead the published gate of nanoG1: falls and score over six commands, smoothness
+    of a walk ahead. The exit code is 3 where a robot does not pass."""
     randomized: bool = False
     """With the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
-    """Names of the robots, with commas between; also robots that the policy was not trained on. Default: the run's."""
+    """Names of the robots, with commas between; also robots that the policy was not trained on.
+    Default: the run's."""
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     seed: int = 0

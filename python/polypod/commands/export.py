@@ -19,7 +19,8 @@ class Export:
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Directory to write. Default: exported/ next to the checkpoint."""
     robots: RobotNames = None
-    """Also one graph per robot named here, with commas between, from its sensors to its joint targets."""
+    """Also one graph per robot named here, with commas between, from its sensors to its joint
+    targets."""
     fold: bool = False
     """The same for all robots that the policy was trained on."""
     formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], arg(metavar="FORMAT")] = ("onnx", "torchscript")

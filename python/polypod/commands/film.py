@@ -19,9 +19,9 @@ class FilmOf:
     """
 
     story: Annotated[Literal["walk", "training", "push", "mujoco"], tyro.conf.Positional]
-    """walk: side by side, also robots that the policy never saw. training: a run from its untrained network to its last
-    checkpoint. push: robots are pushed from the side. mujoco: the same policy in both simulators; needs the extras
-    export and bench."""
+    """walk: side by side, also robots that the policy never saw. training: a run from its untrained
+    network to its last checkpoint. push: robots are pushed from the side. mujoco: the same policy
+    in both simulators; needs the extras export and bench."""
     out: Annotated[Path, tyro.conf.Positional]
     """The film: .gif, .webp or .mp4."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None

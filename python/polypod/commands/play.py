@@ -30,7 +30,8 @@ class Play:
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None
-    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn from the task's ranges."""
+    """Forward and left velocity (m/s) and yaw rate (rad/s) for all robots. Default: drawn from the
+    task's ranges."""
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     num_envs: int = 1
@@ -54,7 +55,8 @@ class Play:
     port: int = 8080
     """Port of the browser's page; 0 takes a free one."""
     meshes: bool = False
-    """Show the makers' meshes, which the package robot_descriptions downloads once; needs the extra meshes."""
+    """Show the makers' meshes, which the package robot_descriptions downloads once; needs the extra
+    meshes."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None

@@ -36,12 +36,13 @@ class Robustness:
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     conditions: Robots = None
-    """Names of conditions or of families of them, with commas between, such as nominal,friction,turn. Default: all."""
+    """Names of conditions or of families of them, with commas between, such as
+    nominal,friction,turn. Default: all."""
     simulators: Annotated[str, arg(metavar="A,B")] = "polypod,mujoco"
     """Where to run: polypod, mujoco or both."""
     condims: Annotated[str | None, arg(metavar="N,N")] = None
-    """Dimensions of MuJoCo's contacts for every condition: 3 (sliding), 4 (with torsional friction), 6 (with rolling
-    friction). Default: 3, and 4 and 6 where they matter most."""
+    """Dimensions of MuJoCo's contacts for every condition: 3 (sliding), 4 (with torsional
+    friction), 6 (with rolling friction). Default: 3, and 4 and 6 where they matter most."""
     num_envs: int = 100
     """Envs per robot and condition in polypod."""
     mujoco_envs: int = 2
@@ -61,11 +62,14 @@ class Robustness:
     map: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, a TOML file that says which joint is which where names and geometry do not."""
     actuators: Literal["model", "policy", "motors"] = "model"
-    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors' inertia."""
+    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors'
+    inertia."""
     contact: Literal["asis", "stiff", "condim3"] = "asis"
-    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling friction."""
+    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling
+    friction."""
     set: Overrides = ()
-    """Changes the task's configuration, on top of the run's own changes and below the conditions'. May be repeated."""
+    """Changes the task's configuration, on top of the run's own changes and below the conditions'.
+    May be repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code: 3 where a bound is missed."""

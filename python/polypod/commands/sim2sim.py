@@ -21,7 +21,8 @@ class Sim2sim:
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
     it, or a bundled policy: flat, rough, legged or quadruped."""
     robots: RobotNames = None
-    """Names of the robots, with commas between. Default: the run's; with --model, the one whose joints it has."""
+    """Names of the robots, with commas between. Default: the run's; with --model, the one whose
+    joints it has."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     num_envs: Count = None
@@ -29,8 +30,8 @@ class Sim2sim:
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Annotated[Literal["walking", "task", "phases"] | None, arg(metavar="{walking,task,phases}")] = None
-    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among them; commands as the
-    task draws them; or --phases. Default: walking, with --model phases."""
+    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among
+    them; commands as the task draws them; or --phases. Default: walking, with --model phases."""
     command: Velocity = None
     """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
     dt: Annotated[float | None, arg(metavar="S")] = None
@@ -38,8 +39,8 @@ class Sim2sim:
     integrator: Annotated[Literal["implicitfast", "RK4"] | None, arg(metavar="{implicitfast,RK4}")] = None
     """Integrator of MuJoCo. Default: implicitfast; with --model the file's."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
-    """Friction coefficient of the ground in MuJoCo, with --model of all contacts. Default: the task's static friction,
-    with --model the file's."""
+    """Friction coefficient of the ground in MuJoCo, with --model of all contacts. Default: the
+    task's static friction, with --model the file's."""
     soft_contact: bool = False
     """MuJoCo's default contacts in place of the stiffest ones that the step allows."""
     seed: int = 0
@@ -50,12 +51,14 @@ class Sim2sim:
     map: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, a TOML file that says which joint is which where names and geometry do not."""
     actuators: Literal["model", "policy", "motors"] = "model"
-    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors' inertia."""
+    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors'
+    inertia."""
     contact: Literal["asis", "stiff", "condim3"] = "asis"
-    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling friction."""
+    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling
+    friction."""
     phases: Annotated[str | None, arg(metavar="A,B")] = None
-    """With --model, commands one after the other: forward, back, left, right (m/s), turn (rad/s), stop. Default:
-    forward=0.8,turn=0.6,left=0.5,stop."""
+    """With --model, commands one after the other: forward, back, left, right (m/s), turn (rad/s),
+    stop. Default: forward=0.8,turn=0.6,left=0.5,stop."""
     phase_s: Annotated[float, arg(metavar="S")] = 5.0
     """Length of a phase, s."""
     rounds: int = 1
@@ -64,7 +67,8 @@ class Sim2sim:
     """With --model, rank its differences from polypod's robot by the effect on one step
     response."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the extra play."""
+    """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the
+    extra play."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 

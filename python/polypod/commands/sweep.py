@@ -18,8 +18,8 @@ class SweepOf:
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder for the runs. Default: logs/sweeps/<name of the file>. An existing sweep goes on."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Train side by side on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
-    started if there is none. Needs the extra ray."""
+    """Train side by side on the Ray cluster at this address; without ADDRESS on this machine's
+    cluster, which is started if there is none. Needs the extra ray."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

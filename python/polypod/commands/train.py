@@ -24,28 +24,31 @@ class Train:
     """Learning iterations; with --resume, further ones. Default: the train config's; with --resume,
     the rest."""
     until_walks: Count = None
-    """End the training as soon as all robots walk, by the definition of docs/evaluate.md, and measure it every N
-    iterations. The exit code is 3 where they do not walk after the last one."""
+    """End the training as soon as all robots walk, by the definition of docs/evaluate.md, and
+    measure it every N iterations. The exit code is 3 where they do not walk after the last one."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     train_config: Name = None
-    """Name of a train config (`polypod list train_configs`), or the path of a .toml. Default: flat."""
+    """Name of a train config (`polypod list train_configs`), or the path of a .toml. Default:
+    flat."""
     learner: Annotated[Learner | None, arg(metavar="{auto,native,rsl_rl}")] = None
-    """The learner: the native one, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons, and rsl_rl for
-    all other networks and for --terms. Default: the train config's. A resumed run may go on with the other one."""
+    """The learner: the native one, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons,
+    and rsl_rl for all other networks and for --terms. Default: the train config's. A resumed run
+    may go on with the other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
     """Destination of the curves. wandb and neptune need their package and account; TensorBoard's
     files are written too."""
     log_project: str = "polypod"
     """Project of wandb or neptune."""
     resume: Annotated[str | None, arg(metavar="RUN")] = None
-    """Go on with a run: its name or the end of it, its directory, a checkpoint, or `latest` (also when RUN is left
-    out)."""
+    """Go on with a run: its name or the end of it, its directory, a checkpoint, or `latest` (also
+    when RUN is left out)."""
     init: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end of it. Observation
-    and sizes of networks must be the same."""
+    """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end
+    of it. Observation and sizes of networks must be the same."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl learns."""
+    """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl
+    learns."""
     run_name: Name = None
     """Suffix of the name of the run's directory."""
     log_dir: Path = Path("logs")
@@ -55,15 +58,16 @@ class Train:
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     set: Overrides = ()
-    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before the key the train
-    config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
+    """Changes the task's configuration, e.g. --set sim.episode_length_s=10.0, or with train. before
+    the key the train config, e.g. --set train.algorithm.entropy_coef=0.01. May be repeated."""
     headless: bool = False
     """Ignored; accepted for compatibility. Trainings open no window."""
     ray: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's cluster, which is
-    started if there is none. Needs the extra ray."""
+    """Train with workers on the Ray cluster at this address; without ADDRESS on this machine's
+    cluster, which is started if there is none. Needs the extra ray."""
     workers: Count = None
-    """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see docs/cluster.md."""
+    """Workers of --ray. Default: one per node. Without Ray, torchrun starts workers: see
+    docs/cluster.md."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

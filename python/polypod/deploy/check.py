@@ -1,7 +1,10 @@
-"""A file played through the Python loop in polypod and in MuJoCo, compared with the policy that it came from.
+"""A file played through the Python loop in polypod and in MuJoCo.
 
-The loop knows the file alone. What it observes, its actions and its joint targets are compared in every control step
-with those of the checkpoint, which sees the simulator's own observation: `bounds` says how far they may be apart.
+It is compared with the policy that it came from.
+
+The loop knows the file alone. Its observations, actions and joint targets are compared in every
+control step with those of the checkpoint, which sees the simulator's own observation: `bounds` says
+how far they may be apart.
 """
 
 import dataclasses
@@ -34,8 +37,8 @@ from polypod.sim2sim.driven import rotations
 Floats = npt.NDArray[np.float32]
 
 BOUND = 1e-5
-"""Largest difference of an observation and of an action, of 1 or the largest number of its kind in the step, and of a
-joint target, rad."""
+"""Largest difference of an observation and of an action, of 1 or the largest number of its kind in
+the step, and of a joint target, rad."""
 SIMULATORS = ("polypod", "mujoco")
 MAX_BYTES = 1 << 30
 """Largest size of a file, bytes."""
@@ -45,7 +48,7 @@ MAX_STEPS = 1_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """What to play."""
+    """Options of a check."""
 
     simulators: Sequence[str] = SIMULATORS
     num_envs: int = 4
@@ -55,7 +58,8 @@ class Options:
     robot: str | None = None
     """Name or path of the robot's config; None: the contract's name, in the library."""
     checkpoint: Path | None = None
-    """What to compare with; None: the checkpoint that the file names, where it is found, else the file's network."""
+    """Policy to compare with; None: the checkpoint that the file names, where it is found, else the
+    file's network."""
     overrides: tuple[str, ...] = ()
     """`key=value` changes to the task, on top of the run's own."""
 
@@ -80,7 +84,7 @@ class Played:
         return self.steps > 0 and max(self.observation, self.action, self.target) <= BOUND
 
     def see(self, key: str, given: npt.ArrayLike, reference: npt.ArrayLike, is_relative: bool = True) -> None:
-        """Takes the difference of two rows into account; one that is not finite counts as infinite."""
+        """Takes the difference of two rows into account; a value not finite counts as infinite."""
         found, wanted = np.asarray(given, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         scale = max(1.0, float(np.abs(wanted).max(initial=0.0))) if is_relative else 1.0
         off = float(np.abs(found - wanted).max(initial=0.0)) / scale if found.shape == wanted.shape else np.inf
@@ -95,7 +99,7 @@ class Check:
     contract: Contract
     task: str
     reference: str
-    """What it was compared with."""
+    """Policy that it was compared with."""
     num_envs: int
     played: dict[str, Played]
 
@@ -140,7 +144,7 @@ class File:
     session: Any
     contract: Contract
     text: str
-    """Of the contract."""
+    """Text of the contract."""
     data: bytes
     metadata: Mapping[str, str]
 
@@ -169,7 +173,8 @@ def check(path: Path, options: Options | None = None) -> Check:
     """Plays a file.
 
     Raises:
-        ConfigError: for a file, robot, checkpoint or option that cannot be used, and where a package is missing.
+        ConfigError: for a file, robot, checkpoint or option that cannot be used, and where a
+            package is missing.
     """
     options = options or Options()
     unknown = [name for name in options.simulators if name not in SIMULATORS]
@@ -208,7 +213,7 @@ def check(path: Path, options: Options | None = None) -> Check:
 
 
 def _manifest(file: File) -> dict[str, Any]:
-    """What the file says of its training, compared with its contract. Raises ConfigError."""
+    """The file's record of its training, compared with its contract. Raises ConfigError."""
     if METADATA not in file.metadata:
         raise _core.ConfigError(f"{file.name}: metadata {METADATA} is missing; export the policy again")
     manifest = manifests.read_onnx(file.metadata[METADATA], f"{file.name}: metadata {METADATA}")
@@ -285,7 +290,7 @@ def _network_within(file: File) -> torch.nn.Module:
         observation = onnx.helper.make_tensor_value_info("obs", onnx.TensorProto.FLOAT, ["batch", size])
         whole.graph.value_info.append(observation)
         part = onnx.utils.Extractor(whole).extract_model(inputs, outputs)
-    except Exception as error:  # of onnx, for a graph without these tensors
+    except Exception as error:  # from onnx, for a graph without these tensors
         raise _core.ConfigError(
             f"{file.name}: the graph has no tensors obs and actions to compare with; name the --checkpoint"
         ) from error
@@ -303,7 +308,7 @@ def _begun(file: File, count: int) -> list[Loop]:
 def _sensors(
     time: float, qpos: Array, qvel: Array, heights: Array | None, given: Mapping[str, npt.ArrayLike]
 ) -> Sensors:
-    """What the robot of a simulated state [nq], [nv] measures."""
+    """Measurements of the robot in a simulated state [nq], [nv]."""
     turn = rotations(qpos[None])[0]
     return Sensors(
         time=time,
@@ -318,7 +323,7 @@ def _sensors(
 
 
 def _observed(loop: Loop) -> Array:
-    """What the loop's graph observes in the present step, by the contract alone."""
+    """The observation of the loop's graph in the present step, by the contract alone."""
     if loop.contract.graph == "network":
         return loop.inputs[next(iter(loop.contract.inputs))][0].astype(np.float64)
     return loop.observe(loop.readings)
@@ -369,7 +374,10 @@ def _in_polypod(file: File, episode: run.Episode, interface: RobotInterface, net
 
 
 def _own_terms(interface: RobotInterface) -> dict[str, slice]:
-    """Columns of the terms that a robot measures under their own names: the simulator's are its measurement."""
+    """Columns of the terms that a robot measures under their own names.
+
+    The simulator's values are their measurement.
+    """
     places, start = {}, 0
     for term in interface.terms:
         if term.source == "measured":
@@ -379,7 +387,7 @@ def _own_terms(interface: RobotInterface) -> dict[str, slice]:
 
 
 def _targets(interface: RobotInterface, actions: npt.NDArray[np.float32]) -> Array:
-    """Joint targets of an action within the limits of the joints, as the simulator's config has them."""
+    """Joint targets of an action within the joint limits of the simulator's config."""
     targets = interface.default_pose.astype(np.float64) + actions.astype(np.float64) @ interface.spread()
     info = interface.info
     lower = np.array([-np.inf if limit is None else limit for limit in info["lower"]])

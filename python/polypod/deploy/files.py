@@ -18,7 +18,10 @@ def shown(path: Path) -> str:
 
 
 def write(path: Path, out: Path) -> list[Path]:
-    """Writes a graph, its contract as JSON and as a C++ header, and the loops. Raises ConfigError."""
+    """Writes a graph, its contract as JSON and as a C++ header, and the loops.
+
+    Raises ConfigError.
+    """
     file = open_file(path)
     written = {
         out / path.name: file.data,

@@ -1,4 +1,7 @@
-"""A contract as a C++ header: a function that returns it, for `onboard/policy_loop.hpp`, which reads no JSON."""
+"""A contract as a C++ header: a function that returns it, for `onboard/policy_loop.hpp`.
+
+The loop reads no JSON.
+"""
 
 import math
 from collections.abc import Iterable
@@ -115,7 +118,7 @@ def _list(values: Iterable[str]) -> str:
 
 
 def _text(value: str) -> str:
-    """A literal: bytes of UTF-8, those that are not plain as octal escapes, which end after three digits."""
+    """A literal: bytes of UTF-8, others than plain ones as octal escapes of three digits."""
     plain = (chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\?' else f"\\{byte:03o}" for byte in value.encode())
     return '"' + "".join(plain) + '"'
 

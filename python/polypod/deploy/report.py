@@ -1,4 +1,4 @@
-"""What a user of `polypod deploy check` sees."""
+"""Report of `polypod deploy check`."""
 
 from polypod.deploy.check import BOUND, Check
 from polypod.tables import Rows, console_of_output

@@ -2,10 +2,11 @@
 
 Source: kingjulio8238/nanoG1, RESULTS.md, 17 June 2026.
 
-A battery of six commands, each held for 20 s by four envs, counts falls and scores how well commands are followed. A
-walk ahead at 0.5 m/s for 40 s tells how smooth the motion is. `BOUNDS` are nanoG1's; commands and times are those of a
-public reimplementation. Two figures differ between the projects: the score's formula is not published, so the one here
-is `measures.tracking`; actions are in the units of the policy, and the jerk grows with the action scale.
+A battery of six commands, each held for 20 s by four envs, counts falls and scores how well
+commands are followed. A walk ahead at 0.5 m/s for 40 s tells how smooth the motion is. `BOUNDS` are
+nanoG1's; commands and times are those of a public reimplementation. Two figures differ between the
+projects: the score's formula is not published, so the one here is `measures.tracking`; actions are
+in the units of the policy, and the jerk grows with the action scale.
 """
 
 import dataclasses
@@ -48,7 +49,8 @@ class Gate:
     battery_perf: float
     """Mean over time of `measures.tracking`, at most 1."""
     action_jerk_rms: float
-    """Root of the mean square of the change of the legs' actions from one control step to the next."""
+    """Root of the mean square of the change of the legs' actions from one control step to the
+    next."""
     ang_vel_xy_rms: float
     """Root mean square of roll and pitch rate together, rad/s."""
     yaw_rate_rms: float

@@ -39,7 +39,8 @@ def play_task(task: str) -> str:
 def undisturbed(task: str, overrides: Sequence[str]) -> list[str]:
     """`key=value` pairs that switch off the disturbances of a task as `overrides` change it.
 
-    A training may have changed the noise or an event; on top of a Play variant, such a change would switch it on.
+    A training may have changed the noise or an event; on top of a Play variant, such a change would
+    switch it on.
     """
     return [f"{key}=false" for key in _core.disturbances(task, list(overrides))]
 
@@ -70,22 +71,25 @@ def evaluate(
         robots: names of the robots; None: those of the task.
         num_envs: number of envs; None: `ENVS_PER_ROBOT` per robot.
         episodes: full episodes per env.
-        steps: control steps per episode, when a whole one is too long; an env that still stands then has not fallen.
+        steps: control steps per episode, when a whole one is too long; an env that still stands
+            then has not fallen.
             None: a whole one, with the commands of `walking` at most 20 s of it.
         seed: of the first episode; each further one takes the next.
         threads: worker threads; None: one per core.
-        overrides: `key=value` pairs for the task's configuration; they come last, and may switch on any noise or event.
-        grid: let every episode hold one command of a grid, all commands equally often but for a remainder; None: see
-            `commands`.
+        overrides: `key=value` pairs for the task's configuration; they come last, and may switch on
+            any noise or event.
+        grid: let every episode hold one command of a grid, all commands equally often but for a
+            remainder; None: see `commands`.
         randomized: with the noise, the pushes and the randomisation of the training.
         slots: names of the policy's actions, where it knows more robots than are here.
-        trained: `key=value` pairs that the policy was trained with; their noise and events are on with `randomized`
-            alone.
-        commands: "walking" for the schedule that walking is judged by, "task" for commands as the task draws them;
-            without effect with a grid.
+        trained: `key=value` pairs that the policy was trained with; their noise and events are on
+            with `randomized` alone.
+        commands: "walking" for the schedule that walking is judged by, "task" for commands as the
+            task draws them; without effect with a grid.
 
     Raises:
-        ConfigError: for an unknown task or robot, for counts below one, and for more than `MAX_STEPS` control steps.
+        ConfigError: for an unknown task or robot, for counts below one, and for more than
+            `MAX_STEPS` control steps.
     """
     for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
         if count is not None and count < 1:
@@ -130,7 +134,8 @@ def evaluate(
             records.append(record)
             first = record.schedule.at(0)
         if first is not None:
-            # a seed releases the commands, so they are pinned after it; the second reset shows them from the beginning
+            # a seed releases the commands, so they are pinned after it; the second reset shows them
+            # from the beginning
             sim.set_command(first)
             sim.reset()
         levels, kinds = sim.terrain_tiles()
@@ -192,7 +197,10 @@ def _episode(
 
 
 def _commands(sim: _core.VecSim, grid: Grid) -> dict[str, npt.NDArray[np.float32]]:
-    """Per robot [n, 3], the last axis running fastest. A single value on an axis is the middle of the robot's range."""
+    """Per robot [n, 3], the last axis running fastest.
+
+    A single value on an axis is the middle of the robot's range.
+    """
     commands = {}
     for robot, ranges in sim.command_ranges().items():
         axes = []

@@ -37,8 +37,8 @@ class Export:
 
     files: list[Path]
     difference: float
-    """Largest difference of an ONNX graph from torch on random inputs, as `agreement.difference` counts it; 0 without
-    ONNX."""
+    """Largest difference of an ONNX graph from torch on random inputs, as `agreement.difference`
+    counts it; 0 without ONNX."""
     changes: list[str]
     """Changes of the robots since the training."""
 
@@ -55,12 +55,14 @@ def export_checkpoint(
     Args:
         checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
         out: the directory; None: `exported` next to the checkpoint.
-        robots: names or paths of configs to fold the policy for, also of robots that it was not trained on.
+        robots: names or paths of configs to fold the policy for, also of robots that it was not
+            trained on.
         fold: fold for all robots of the training, where `robots` are not named.
         formats: kinds of files.
 
     Raises:
-        ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package is missing.
+        ConfigError: for a checkpoint, robot or directory that cannot be used, and where a package
+            is missing.
         PolypodError: for a graph that does not compute what the checkpoint does.
     """
     policy = load(checkpoint, robots=robots)
@@ -120,7 +122,8 @@ class _Writer:
         sizes = {"obs": self.num_obs}
         memory = states.of_network(self.network)
         if "onnx" in self.formats:
-            # gains and poses are one robot's: of several, each graph that is folded for one says its own
+            # gains and poses are one robot's: of several, each graph that is folded for one says
+            # its own
             alone = any_robot if len(robots) == 1 else None
             described = self._metadata("policy", alone, memory)
             model = onnx_graph.network_model(self.network, self.num_obs, self.num_actions, described)
@@ -304,7 +307,7 @@ def _distances(policy: LoadedPolicy, checkpoint: Path, robots: Sequence[str]) ->
 
 
 def _is_normalized(network: torch.nn.Module) -> bool:
-    """Whether the graph normalises what it observes; of another learner's file it is taken for granted."""
+    """Whether the graph normalises its inputs; assumed for files of other learners."""
     if isinstance(network, OnnxNetwork):
         return True
     return any(isinstance(part, EmpiricalNormalization) for part in network.modules())

@@ -1,7 +1,10 @@
-"""The contract of a policy and one robot: what a loop must give the graph, what it gets, and what it must never do.
+"""The contract of a policy and one robot.
 
-`polypod export` writes it as JSON into the metadata of each graph of one robot. `contract.schema.json` is its schema,
-`onboard/policy_loop.py` reads it on the robot, and docs/deploy.md explains it.
+The inputs that a loop must give the graph, its outputs, and inputs that are forbidden.
+
+`polypod export` writes it as JSON into the metadata of each graph of one robot.
+`contract.schema.json` is its schema, `onboard/policy_loop.py` reads it on the robot, and
+docs/deploy.md explains it.
 """
 
 import functools
@@ -29,7 +32,8 @@ MOTORS = Path(__file__).parent / "motors.json"
 """Motors of makers' interfaces, by robot."""
 
 STALE_STEPS = 3.0
-"""Control steps without a new measurement after which a loop stops: two lost messages are forgiven."""
+"""Control steps without a new measurement after which a loop stops: two lost messages are
+forgiven."""
 MAX_TILT = 1.0
 """Tilt at which a loop stops where the task has no termination by tilt, rad."""
 JOINT_MARGIN = 0.1
@@ -37,7 +41,8 @@ JOINT_MARGIN = 0.1
 QUATERNION_TOLERANCE = 0.05
 """How far from 1 the length of a quaternion may be."""
 DAMPING_TIME = 0.1
-"""Damping over stiffness in the damping mode, s: a joint falls as slowly as its own spring would creep back."""
+"""Damping over stiffness in the damping mode, s: a joint falls as slowly as its own spring would
+creep back."""
 STAND_TIME = 2.0
 """Time from any pose to the default pose, s."""
 
@@ -57,7 +62,7 @@ NEVER = {
     "padding": "anything but 0 in a column of last_action whose joint is null",
     "privileged": "what only a simulator knows: contact forces, friction, masses, terrain beyond the height scan",
 }
-"""What a loop must never feed, by a short name."""
+"""Inputs that a loop must never feed, by a short name."""
 
 FRAMES = {
     "base": "x forward, y left, z up, at the origin of the base link",
@@ -89,11 +94,12 @@ def of(
         robot: the interface of policy and robot.
         memory: states of the graph, see `polypod.export.states`.
         policy: name, task, checkpoint_sha256, iteration and polypod.
-        is_folded: whether the graph takes sensors and gives joint targets; otherwise it takes the observation.
+        is_folded: whether the graph takes sensors and gives joint targets; otherwise it takes the
+            observation.
         is_normalized: whether the graph normalises its observation.
         step_dt: control step, s.
-        description: whether the robot is one of the training, else its distance from the nearest body of it, see
-            `polypod.descriptions`; None: unknown.
+        description: whether the robot is one of the training, else its distance from the nearest
+            body of it, see `polypod.descriptions`; None: unknown.
     """
     physics_dt = float(robot.task["sim"]["dt"])
     joints = _joints(robot, physics_dt)
@@ -141,7 +147,10 @@ def of(
 
 
 def text_of(contract: Mapping[str, Any]) -> str:
-    """The contract as the text that a graph holds. Raises ConfigError for a number that is not finite."""
+    """The contract as the text that a graph holds.
+
+    Raises ConfigError for a number that is not finite.
+    """
     try:
         return json.dumps(contract, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
@@ -163,7 +172,10 @@ def _motors() -> dict[str, Any]:
 
 
 def motors_of(robot: str) -> dict[str, Any] | None:
-    """Motors of the maker's interface in its order: joints by name, null where a motor is none; None if unknown."""
+    """Motors of the maker's interface in its order; None if unknown.
+
+    Joints by name, null where a motor is none.
+    """
     found: dict[str, Any] | None = _motors().get(robot)
     return found
 

@@ -47,7 +47,8 @@ class RobotInterface:
     columns: npt.NDArray[np.int64]
     """Column of each of these slots in the policy's action."""
     signs: Array
-    """Sign of each slot: 1, or -1 where the joint's own positive direction is opposite to the slot's."""
+    """Sign of each slot: 1, or -1 where the joint's own positive direction is opposite to the
+    slot's."""
     action_names: tuple[str, ...]
     """Columns of the policy's action: slots, of which the robot has some."""
     default_pose: Array
@@ -59,9 +60,11 @@ class RobotInterface:
     constants: Mapping[str, Array]
     """Values of the terms that describe the body, as the policy observes them."""
     scan_points: Array
-    """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left, along its heading."""
+    """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left,
+    along its heading."""
     command_ranges: Mapping[str, Sequence[float]]
-    """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low, high]."""
+    """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low,
+    high]."""
     info: Mapping[str, Any]
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
     config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -138,7 +141,8 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
         robots: names or paths of configs; None: those that the policy was trained on.
 
     Raises:
-        ConfigError: for an unknown task or robot, and for a task that has changed since the training.
+        ConfigError: for an unknown task or robot, and for a task that has changed since the
+            training.
     """
     sim, configs = _undisturbed(manifest, robots)
     task = configs["task"]
@@ -195,7 +199,10 @@ def changes(manifest: Mapping[str, Any], robots: Mapping[str, RobotInterface]) -
 
 
 def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> tuple[_core.VecSim, dict[str, Any]]:
-    """One env per robot of the policy's task without noise and events, and the configs of the robots and the task."""
+    """One env per robot of the policy's task without noise and events.
+
+    Returns it with the configs of the robots and the task.
+    """
     names = list(manifest["robot_sources"] if robots is None else robots)
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     slots = manifest["canonical_joint_names"]

@@ -15,7 +15,8 @@ from polypod.networks.onnx_session import OnnxSession
 from polypod.runs.manifest import export_sums
 
 MAX_BYTES = 1 << 30
-"""Largest size of a graph, bytes: twice that of the largest network that a manifest may describe."""
+"""Largest size of a graph, bytes: twice that of the largest network that a manifest may
+describe."""
 Array = npt.NDArray[np.float32]
 
 
@@ -26,7 +27,8 @@ class OnnxPolicy:
         """Loads a file or its bytes.
 
         Raises:
-            ConfigError: for a file that is missing, no ONNX model, or not the one that its manifest describes.
+            ConfigError: for a file that is missing, no ONNX model, or not the one that its manifest
+                describes.
         """
         name = "the model" if isinstance(model, bytes) else os.fspath(model)
         source = model if isinstance(model, bytes) else _read(Path(model))
@@ -48,8 +50,8 @@ class OnnxPolicy:
     def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Array]:
         """Runs the graph on float32 [batch, size] per input.
 
-        States that are not given are those after the call before, or zeros after `reset`. Raises ConfigError for inputs
-        that the graph does not have or of other sizes.
+        States that are not given are those after the call before, or zeros after `reset`. Raises
+        ConfigError for inputs that the graph does not have or of other sizes.
         """
         feeds = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
         rows = next((len(feeds[name]) for name in self.inputs if name in feeds), 1)

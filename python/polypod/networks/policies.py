@@ -14,7 +14,8 @@ from polypod.networks import build_actor
 from polypod.networks.onnx_network import OnnxNetwork
 
 Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
-"""Observations [num_envs, num_obs] to actions [num_envs, num_actions], as `polypod.policy.Policy.act`."""
+"""Observations [num_envs, num_obs] to actions [num_envs, num_actions], as
+`polypod.policy.Policy.act`."""
 
 
 def load_network(checkpoint: dict[str, Any], model: dict[str, Any]) -> MLPModel:

@@ -1,8 +1,8 @@
 """One robot in the browser.
 
-All that belongs to a robot hangs on the node of its base. The page moves nodes when it draws; what is new about a node
-otherwise, such as the length of an arrow, it shows one picture later. So nothing that moves with a robot can be drawn
-away from it, however seldom the page draws.
+All that belongs to a robot hangs on the node of its base. The page moves nodes when it draws; what
+is new about a node otherwise, such as the length of an arrow, it shows one picture later. So
+nothing that moves with a robot can be drawn away from it, however seldom the page draws.
 """
 
 from collections.abc import Sequence

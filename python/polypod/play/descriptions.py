@@ -1,8 +1,8 @@
 """The makers' meshes of robots, out of the package robot_descriptions.
 
-The package clones a maker's repository into the user's cache when a description is used first. Nothing of it is part
-of polypod. A description is shown if its links are where the robot's own are; `descriptions.toml` says which module
-belongs to which robot.
+The package clones a maker's repository into the user's cache when a description is used first.
+Nothing of it is part of polypod. A description is shown if its links are where the robot's own are;
+`descriptions.toml` says which module belongs to which robot.
 """
 
 import functools
@@ -42,11 +42,12 @@ def models(robot: str, links: Sequence[str], rest: tuple[Array, Array]) -> list[
     Args:
         robot: its name.
         links: its links that move, the base first.
-        rest: their positions [links, 3], m, and quaternions [links, 4] with all joints at zero, base axes.
+        rest: their positions [links, 3], m, and quaternions [links, 4] with all joints at zero,
+            base axes.
 
     Raises:
-        ConfigError: for a robot without a description, one that cannot be downloaded or read, and one whose links are
-            not the robot's.
+        ConfigError: for a robot without a description, one that cannot be downloaded or read, and
+            one whose links are not the robot's.
     """
     name = modules().get(robot)
     if name is None:

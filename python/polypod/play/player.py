@@ -60,8 +60,8 @@ class Player(Scene):
             checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file, see
                 `polypod.policy`.
             robots: names or paths of configs; None: those that the policy was trained on.
-            command: forward and left velocity, m/s, and yaw rate, rad/s. The robots then begin side by side, looking
-                along x. None: as the task draws it.
+            command: forward and left velocity, m/s, and yaw rate, rad/s. The robots then begin side
+                by side, looking along x. None: as the task draws it.
             task: name or alias of the task; None: that of the training.
             envs_per_robot: envs of each robot.
             seed: of every random stream.
@@ -103,7 +103,8 @@ class Player(Scene):
         self._slots: Array | None = None
         self._gone = np.zeros(2)
         self.ranges = _ranges(self.config)
-        """[3, 2], smallest and largest commands that the task draws: forward, left, m/s, and yaw rate, rad/s."""
+        """[3, 2], smallest and largest commands that the task draws: forward, left, m/s, and yaw
+        rate, rad/s."""
         if command is not None:
             self.command(command)
             self.sim.reset()

@@ -89,7 +89,8 @@ def play(options: Options) -> Player:
 def _player(options: Options, live: bool) -> Player:
     """The player that is shown first.
 
-    On flat ground in the browser robots begin side by side, as with a command: they are to follow the same one.
+    On flat ground in the browser robots begin side by side, as with a command: they are to follow
+    the same one.
     """
 
     def build(command: Sequence[float] | None) -> Player:

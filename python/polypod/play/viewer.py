@@ -26,7 +26,8 @@ Array = npt.NDArray[np.float64]
 
 HOST = "127.0.0.1"
 WORLD = "/world"
-"""The node that all of the simulation hangs on. It moves against what is followed, and cameras stay where they are."""
+"""The node that all of the simulation hangs on. It moves against what is followed, and cameras stay
+where they are."""
 GROUP = "all robots"
 NOTHING = "nothing"
 PLANE = (214, 218, 222)
@@ -62,7 +63,8 @@ class Viewer:
             player: what is shown.
             port: 0 takes a free one.
             host: address that the page is served at.
-            meshes: show the makers' meshes of the package robot_descriptions, which downloads them once.
+            meshes: show the makers' meshes of the package robot_descriptions, which downloads them
+                once.
             columns: robots side by side in a row of the opening shot. None: as the player has them.
 
         Raises:
@@ -85,7 +87,8 @@ class Viewer:
             sockets = self._server._websock_server
             wake_safely(sockets.get_message_buffer())
             sockets.on_client_connect(lambda connection: wake_safely(connection.get_message_buffer()))
-            # a frame is to reach a page as one piece; by default viser cuts it into pieces of 128 messages
+            # a frame is to reach a page as one piece; by default viser cuts it into pieces of 128
+            # messages
             sockets.get_message_buffer().max_window_size = _MESSAGES
         self._recording: Any = None
         self._world: Any = None
@@ -187,7 +190,10 @@ class Viewer:
             self._recording.insert_sleep(seconds)
 
     def write(self, path: Path) -> None:
-        """Writes the recording: `.html` by itself, `.viser` for viser's client. Raises ConfigError where that fails."""
+        """Writes the recording: `.html` by itself, `.viser` for viser's client.
+
+        Raises ConfigError where that fails.
+        """
         recording, self._recording = self._recording, None
         data = recording.as_html().encode() if path.suffix == ".html" else recording.serialize()
         try:
@@ -319,7 +325,8 @@ class Viewer:
     def _welcome(self, client: Any) -> None:
         """A new page begins with what is followed in its middle.
 
-        viser calls this in its own thread, while another player may be opened: the shot is computed elsewhere.
+        viser calls this in its own thread, while another player may be opened: the shot is computed
+        elsewhere.
         """
         with contextlib.suppress(AssertionError):
             client.camera.position, client.camera.look_at = self._first_shot

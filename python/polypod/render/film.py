@@ -73,7 +73,10 @@ class Film:
             print(text, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """Writes the file, whole or not at all. Raises ConfigError where that fails, and for a film without frames."""
+        """Writes the file, whole or not at all.
+
+        Raises ConfigError where that fails, and for a film without frames.
+        """
         if not self._frames:
             raise _core.ConfigError(f"--video {self.path}: there are no frames; ask for more --seconds")
         if sys.stderr.isatty():

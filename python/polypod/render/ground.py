@@ -28,7 +28,8 @@ class Ground:
         self._heights = entry["heights"]
         self._origin, self._cell = np.array(entry["origin"], dtype=np.float64), float(entry["cell"])
         low, high = float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max())
-        # level ground has the middle colour; hills and pits of one size differ from it by the same amount
+        # level ground has the middle colour; hills and pits of one size differ from it by the same
+        # amount
         self._range = max(abs(low), abs(high), 0.05)
         self._faces: tuple[npt.NDArray[np.float32], ...] | None = None
 

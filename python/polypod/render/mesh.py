@@ -13,7 +13,8 @@ Array = npt.NDArray[np.float64]
 ROUND = 12
 """Corners of a circle."""
 LARGEST_FACE = 0.15
-"""Edges of flat faces are cut into pieces no longer than this, m, so that faces sort by their distance."""
+"""Edges of flat faces are cut into pieces no longer than this, m, so that faces sort by their
+distance."""
 MOST_CUTS = 16
 """Pieces along an edge of a mesh's triangle, at most."""
 
@@ -199,7 +200,8 @@ def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
     pieces = np.clip(np.ceil(longest / LARGEST_FACE), 1, MOST_CUTS).astype(np.intp)
     parts = []
     for count in np.unique(pieces):
-        # places (i, j) of a triangular grid with `count` pieces along each edge, and the faces between them
+        # places (i, j) of a triangular grid with `count` pieces along each edge, and the faces
+        # between them
         places = [(i, j) for i in range(count + 1) for j in range(count + 1 - i)]
         number = {place: index for index, place in enumerate(places)}
         upright = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i, j in places if i + j < count]

@@ -144,8 +144,8 @@ def render(
 ) -> "Image":
     """The picture of a frame, RGB; on terrain of what is near the camera's target.
 
-    `caption` stands in a corner in place of the names below the robots; `arrows` are starts and directions of red
-    arrows, m.
+    `caption` stands in a corner in place of the names below the robots; `arrows` are starts and
+    directions of red arrows, m.
 
     Raises:
         ConfigError: where Pillow is missing.

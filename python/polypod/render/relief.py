@@ -12,7 +12,8 @@ from polypod.render.ground import LARGEST_FACE, Ground
 from polypod.render.mesh import Array, Mesh, lit
 
 RADIUS = 9.0
-"""Ground is drawn so far around the middle of the picture, m; it fades from two thirds of that on."""
+"""Ground is drawn so far around the middle of the picture, m; it fades from two thirds of that
+on."""
 SHADOW_RADIUS = 1.6
 """Around the middle of a robot, m; no shadow is looked for beyond."""
 SHADOW_PIXEL = 0.008
@@ -55,7 +56,8 @@ class _Layer:
         for number, outline in zip((order + 1).tolist(), pixels[order].reshape(-1, 8).tolist(), strict=True):
             pen.polygon(outline, fill=number)
         self.faces: npt.NDArray[np.int32] = np.asarray(canvas)
-        """[height, width], one more than the number of the face that is seen; zero where there is none."""
+        """[height, width], one more than the number of the face that is seen; zero where there is
+        none."""
 
     def depths(self, rows: Any, columns: Any, rays: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """[n], of pixels and their rays, m; very far where there is no face."""

@@ -89,8 +89,8 @@ class Scene:
 
         Args:
             sim: whose robots are shown.
-            spacing: between robots that stand side by side on flat ground, m; None: the task's, with which no obstacle
-                of an env is within another.
+            spacing: between robots that stand side by side on flat ground, m; None: the task's,
+                with which no obstacle of an env is within another.
         """
         self.sim = sim
         self.time = 0.0
@@ -103,7 +103,8 @@ class Scene:
         """Meshes of the scene; see `obstacle_places`."""
         entry = sim.terrain()
         self.pits = [] if entry is None else entry["pits"]
-        """Rectangles about each of `obstacle_places` in which the plane is open, as `VecSim.terrain` has them."""
+        """Rectangles about each of `obstacle_places` in which the plane is open, as
+        `VecSim.terrain` has them."""
         terrain = entry if "terrain" in config["scene"] else None
         self.ground = None if terrain is None else Ground(terrain)
         """The generated terrain on which all robots are; None without."""
@@ -125,7 +126,8 @@ class Scene:
         """Whether each env has a separate flat world, so that it can be drawn at any place."""
         self._spacing = spacing
         self.places = self.formation(sim.num_envs)
-        """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their heights are zero."""
+        """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their
+        heights are zero."""
 
     def formation(self, columns: int) -> Array:
         """Places in rows of `columns` envs, [envs, 3], m: rows across x, in the envs' order."""

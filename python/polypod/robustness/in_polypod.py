@@ -145,8 +145,8 @@ class Ran:
 def run(setting: Setting, nominal: Nominal, condition: Condition, policy: Policy, num_envs: int, progress: Step) -> Ran:
     """Runs an episode of a condition.
 
-    The policy is told what it is told of the nominal robots, since nobody measures a payload or a worn motor for it.
-    With the randomisation of the training, it is told what the task says.
+    The policy is told what it is told of the nominal robots, since nobody measures a payload or a
+    worn motor for it. With the randomisation of the training, it is told what the task says.
 
     Args:
         setting: that of the battery.

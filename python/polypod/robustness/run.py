@@ -22,7 +22,8 @@ MAX_ENVS = 100_000
 """Envs of one robot."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with a simulator, the runs of one condition done and those to do; in MuJoCo each robot is a run."""
+"""Called with a simulator, the runs of one condition done and those to do; in MuJoCo each robot is
+a run."""
 
 _NO_COMMANDS = "its command box has no such commands"
 _NO_DESCRIPTION = "the observation does not describe the robot"
@@ -48,7 +49,8 @@ class Options:
     threads: int | None = None
     """None: one per core."""
     overrides: tuple[str, ...] = ()
-    """`key=value` changes to the task, on top of the run's own and below those of the conditions."""
+    """`key=value` changes to the task, on top of the run's own and below those of the
+    conditions."""
     model: MakersModel | None = None
     """In place of polypod's robot in MuJoCo."""
 

@@ -18,7 +18,8 @@ from polypod.sim2sim.driven import Driven
 Change = Callable[[Driven, Body], None]
 
 TORSIONAL = 0.02
-"""m, of contacts with `condim` 4 and 6 unless a condition says otherwise: the feet of Menagerie's quadrupeds."""
+"""m, of contacts with `condim` 4 and 6 unless a condition says otherwise: the feet of Menagerie's
+quadrupeds."""
 ROLLING = 0.01
 """m, of contacts with `condim` 6."""
 
@@ -93,7 +94,8 @@ def trunk_mass(factor: float) -> Change:
 def trunk_com(forward: float, left: float) -> Change:
     """Shift of the trunk's centre of mass in shares of the base's height, base axes.
 
-    Inertias about the centre of mass stay. Every link of the trunk is shifted, so that their common centre is.
+    Inertias about the centre of mass stay. Every link of the trunk is shifted, so that their common
+    centre is.
     """
 
     def change(twin: Driven, body: Body) -> None:

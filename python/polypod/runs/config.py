@@ -66,15 +66,16 @@ OPTIONAL_SECTIONS = ("anneal", "obs_groups", "rnd", "distillation")
 def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
     """Reads a train config by its name or, when `name` ends in `.toml`, from that file.
 
-    `extends` is a name, a path relative to the file, or a list of them, of which the later ones win. A file may extend
-    the one of the same name that it hides.
+    `extends` is a name, a path relative to the file, or a list of them, of which the later ones
+    win. A file may extend the one of the same name that it hides.
 
     Args:
         name: the name or the path.
         overrides: `key=value` pairs, the key dotted as in the file, the value in TOML syntax.
 
     Raises:
-        ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or missing keys, wrong types.
+        ConfigError: for an unknown name, a file that cannot be read, TOML errors, unknown or
+            missing keys, wrong types.
     """
     return changed(parse(_load_tables(name), name), overrides, name)
 
@@ -119,12 +120,15 @@ def _load_tables(name: str) -> dict[str, Any]:
 
 
 def _add_layers(name: str, folder: Path | None, above: tuple[str, ...], layers: dict[str, dict[str, Any]]) -> None:
-    """Adds what a config extends, in order, then the config. A layer that is there already stays where it is.
+    """Adds what a config extends, in order, then the config.
+
+    A layer that is there already stays where it is.
 
     Args:
         name: of the config, or a path that ends in `.toml`.
         folder: where a relative path begins; None: the working directory.
-        above: ids of the configs that lead here. A config may extend the one of its name that it hides, and not itself.
+        above: ids of the configs that lead here. A config may extend the one of its name that it
+            hides, and not itself.
         layers: tables by the ids of their configs.
     """
     if len(above) > MAX_EXTENDS or len(layers) > MAX_EXTENDS:

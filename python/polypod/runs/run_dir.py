@@ -238,7 +238,8 @@ def _tensors(state: dict[Any, Any]) -> Iterator[tuple[str, torch.Tensor]]:
 def _check_plain(tensor: torch.Tensor, place: str) -> None:
     """Refuses a tensor that is not an ordinary array, before anything is computed with it.
 
-    A few bytes can stand for an array that no memory holds: one of a sparse layout, or one that repeats its numbers.
+    A few bytes can stand for an array that no memory holds: one of a sparse layout, or one that
+    repeats its numbers.
     """
     is_ordinary = type(tensor) in (torch.Tensor, torch.nn.Parameter) and not tensor.is_nested
     if not is_ordinary or tensor.layout is not torch.strided:
@@ -285,7 +286,8 @@ def read_manifest(checkpoint: Path) -> dict[str, Any]:
 def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:
     """Writes a checkpoint, whole or not at all, and its SHA-256 to the manifest next to it.
 
-    A process may be killed at any point between: a checkpoint without an entry is read, by its own checksums alone.
+    A process may be killed at any point between: a checkpoint without an entry is read, by its own
+    checksums alone.
 
     Raises:
         OSError: where it cannot be written.

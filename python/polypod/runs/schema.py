@@ -73,8 +73,8 @@ class AlgorithmConfig:
 class AnnealConfig:
     """`[anneal]`: values of PPO's goals at the end of a run, for ever less exploration.
 
-    From the iteration `start * max_iterations` on, each goal moves linearly from its value in `[algorithm]` to the
-    value here, which it has in the last iteration and after it.
+    From the iteration `start * max_iterations` on, each goal moves linearly from its value in
+    `[algorithm]` to the value here, which it has in the last iteration and after it.
     """
 
     start: float
@@ -100,7 +100,8 @@ class CriticConfig:
         """The network's constructor arguments, with the class names that rsl_rl resolves.
 
         Args:
-            sim: whose observations and joints the network is for; a multi-layer perceptron does without.
+            sim: whose observations and joints the network is for; a multi-layer perceptron does
+                without.
             groups: the observation groups that it sees, side by side.
 
         Raises:
@@ -230,7 +231,8 @@ class TrainConfig:
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
         """The config with "auto" decided for this machine, so that a resumed run does the same.
 
-        The learner must be resolved: the native one computes in f32, unless "on" asks for bfloat16 on a GPU.
+        The learner must be resolved: the native one computes in f32, unless "on" asks for bfloat16
+        on a GPU.
         """
         if self.algorithm.mixed_precision != "auto":
             return self
@@ -246,7 +248,8 @@ class TrainConfig:
             device_type: where it learns, in torch's words.
 
         Raises:
-            ConfigError: for an unknown learner, and for one that cannot learn what the config asks for.
+            ConfigError: for an unknown learner, and for one that cannot learn what the config asks
+                for.
         """
         chosen = self.run.learner if learner is None else learner
         if chosen not in LEARNERS:
@@ -292,7 +295,8 @@ class TrainConfig:
         """Options of `polypod._core.Learner`.
 
         Args:
-            sim: whose observations the networks read; without it, perceptrons read the only observation group.
+            sim: whose observations the networks read; without it, perceptrons read the only
+                observation group.
 
         Raises:
             ConfigError: for a network of joints without `sim`.

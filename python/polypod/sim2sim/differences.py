@@ -1,8 +1,8 @@
 """Differences between a maker's model and polypod's robot, ranked by effect on one response.
 
-polypod's robot in MuJoCo stands, then walks forward. Each item of the model (a mass, the armature, the friction of the
-feet) is taken over alone, the same commands are given, and the motions are compared. Items whose numbers are equal on
-both sides are no differences.
+polypod's robot in MuJoCo stands, then walks forward. Each item of the model (a mass, the armature,
+the friction of the feet) is taken over alone, the same commands are given, and the motions are
+compared. Items whose numbers are equal on both sides are no differences.
 """
 
 import dataclasses
@@ -42,7 +42,8 @@ class Difference:
     ours: str
     theirs: str
     base: float
-    """Distance of the base from where it is without the change, root mean square over the response, m."""
+    """Distance of the base from where it is without the change, root mean square over the response,
+    m."""
     heading: float
     """Root mean square difference of the heading, rad."""
     joints: float

@@ -99,7 +99,8 @@ class Drive:
     least_height: float = -np.inf
     """See `Driven.base_height`; a base that is lower has fallen, m."""
     most_tilt: float = np.pi
-    """Tilt of the base's z axis from the direction against gravity; one that is farther has fallen, rad."""
+    """Tilt of the base's z axis from the direction against gravity; one that is farther has fallen,
+    rad."""
 
 
 class Driven:
@@ -111,8 +112,8 @@ class Driven:
         Args:
             reference: the model.
             robot: URDF and actuators.
-            is_base: [geoms of the model], which must not touch the ground: those of base and torso, and what else ends
-                episodes.
+            is_base: [geoms of the model], which must not touch the ground: those of base and torso,
+                and what else ends episodes.
             dt: MuJoCo's physics step, s.
             drive: the policy, and how it drives.
         """

@@ -535,8 +535,8 @@ class Maker(Driven):
         Args:
             model: of the file.
             base: clusters that must not touch the ground.
-            drive: the policy, and how it drives; ground and gravity are the file's, and delays are of the policy's
-                actuators alone.
+            drive: the policy, and how it drives; ground and gravity are the file's, and delays are
+                of the policy's actuators alone.
         """
         is_base = model.base_geoms(base)
         if not is_base.any():

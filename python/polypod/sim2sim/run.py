@@ -33,14 +33,16 @@ from polypod.sim2sim.twin import Physics, Twin
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
 DT_ON_TERRAIN = 0.002
-"""MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown off steep faces."""
+"""MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown
+off steep faces."""
 MARGIN = 30.0
 """Level ground beyond that of the task, m: an episode leads some robots off their terrain."""
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
 Watch = Callable[[str, str, Array], None]
-"""Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 + joints]."""
+"""Called after each control step with "polypod" or "mujoco", a robot, and its positions [envs, 7 +
+joints]."""
 Seen = Callable[[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]], None]
 """Called with planar velocities [envs, 2], m/s, yaw rates [envs], rad/s, and who fell [envs]."""
 
@@ -55,12 +57,14 @@ class Options:
 
     envs_per_robot: int = 32
     steps: int | None = None
-    """Control steps per episode. None: a whole one, with the commands of walking at most 20 s of it."""
+    """Control steps per episode. None: a whole one, with the commands of walking at most 20 s of
+    it."""
     seed: int = 0
     command: tuple[float, float, float] | None = None
     """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: see `commands`."""
     commands: Drawn = "walking"
-    """"walking" for the schedule that walking is judged by, "task" for commands as the task draws them."""
+    """"walking" for the schedule that walking is judged by, "task" for commands as the task draws
+    them."""
     dt: float | None = None
     """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
     integrator: reference.Integrator = "implicitfast"
@@ -81,7 +85,8 @@ class Figures:
     error_vel_yaw: float
     """Error of the yaw rate, rad/s."""
     fall_rate: float
-    """Share of the episodes that failed: base or torso on the ground, and what else ends them in the task."""
+    """Share of the episodes that failed: base or torso on the ground, and what else ends them in
+    the task."""
     episode_length_s: float
     still_error_vel_xy: float = math.nan
     """m/s, of a robot that stands still; NaN in files of builds that did not write it."""
@@ -98,8 +103,8 @@ class RobotComparison:
     polypod: Figures
     mujoco: Figures
     is_whole: bool = True
-    """Whether all of the definition of walking is asked. A command or a number of steps that was chosen asks what it
-    holds."""
+    """Whether all of the definition of walking is asked. A command or a number of steps that was
+    chosen asks what it holds."""
 
     @property
     def why_not(self) -> list[str]:
@@ -157,9 +162,9 @@ def compare(
 ) -> Comparison:
     """Runs the policy of a checkpoint in both simulators.
 
-    polypod draws the initial states of the task's Play variant; both simulators begin in them. The commands are those
-    that walking is judged by, or drawn once as the task draws them; then a heading is held by the same controller from
-    each simulator's own heading.
+    polypod draws the initial states of the task's Play variant; both simulators begin in them. The
+    commands are those that walking is judged by, or drawn once as the task draws them; then a
+    heading is held by the same controller from each simulator's own heading.
 
     Args:
         checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.
@@ -169,8 +174,8 @@ def compare(
         watch: shown all states; None: nobody is.
 
     Raises:
-        ConfigError: for a checkpoint, robot or option that cannot be used, for a task with obstacles, and where
-            MuJoCo, ONNX or onnxruntime is missing.
+        ConfigError: for a checkpoint, robot or option that cannot be used, for a task with
+            obstacles, and where MuJoCo, ONNX or onnxruntime is missing.
     """
     options = options or Options()
     for name, count in (("num_envs", options.envs_per_robot), ("steps", options.steps)):
@@ -381,7 +386,8 @@ def run_polypod(
             np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
         )
         observation[:, command] = given
-        # the actions of a robot that lies on the ground are not judged, and may be beyond what a step takes
+        # the actions of a robot that lies on the ground are not judged, and may be beyond what a
+        # step takes
         sim.step(np.where(record.active[:, None], policy(observation), np.float32(0.0)))
         record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated, commands)
         if seen is not None:
@@ -394,7 +400,7 @@ def run_polypod(
 
 
 def columns_of(sim: _core.VecSim, source: str) -> tuple[slice, int]:
-    """Columns of the observation's term that is computed from `source`, and how many of its numbers are new."""
+    """Columns of the observation's term that is computed from `source`, and number of new ones."""
     start = 0
     for term in terms_of(sim):
         end = start + term.size

@@ -31,7 +31,10 @@ class SideBySide:
     """Collects the states of the first env of each simulator."""
 
     def __init__(self, path: Path) -> None:
-        """Nothing is written before `close`. Raises ConfigError for another kind of file than a film."""
+        """Nothing is written before `close`.
+
+        Raises ConfigError for another kind of file than a film.
+        """
         self._film = Film(path, FPS, SIZE)
         self._states: dict[str, list[Array]] = {"polypod": [], "model": []}
 

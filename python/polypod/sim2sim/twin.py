@@ -46,7 +46,8 @@ class Twin(Driven):
 
         Args:
             robot: URDF and actuators.
-            base_bodies: links that must not touch the ground: those of base and torso, and what else ends episodes.
+            base_bodies: links that must not touch the ground: those of base and torso, and what
+                else ends episodes.
             physics: how MuJoCo steps.
             drive: the policy, and how it drives.
         """

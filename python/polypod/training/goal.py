@@ -73,7 +73,8 @@ class UntilWalks:
             every: iterations between two measurements.
             wanted: names of the robots that have to walk; None: all of the training.
             say: is told each measurement.
-            deadline: of `time.monotonic`, after which one more measurement ends the training; None: there is none.
+            deadline: of `time.monotonic`, after which one more measurement ends the training; None:
+                there is none.
             confirm: whether robots have to walk with a second seed too, which selects nothing.
             envs_per_robot: number of envs of a measurement for each robot.
             threads: of a measurement; None: one per core.

@@ -1,7 +1,7 @@
 """rsl_rl's PPO update on a GPU: each mini-batch is one launch of a CUDA graph.
 
-A mini-batch of small networks is a few hundred kernels of a few microseconds each. Launched one by one they take
-several times as long as they compute.
+A mini-batch of small networks is a few hundred kernels of a few microseconds each. Launched one by
+one they take several times as long as they compute.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,8 @@ from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers
 
 RATE_STEP = 1.5
-"""The learning rate is multiplied or divided by this where the divergence is far from the one that is wanted."""
+"""The learning rate is multiplied or divided by this where the divergence is far from the one that
+is wanted."""
 LOWEST_RATE, HIGHEST_RATE = 1e-5, 1e-2
 """Learning rates that rsl_rl's adaptive schedule keeps to."""
 
@@ -49,11 +50,13 @@ class Samples:
         widths = {"actions": num_actions, "means": num_actions}
         single = {"log_probs": 1, "values": 1, "returns": 1, "advantages": 1}
         self.numbers = {name: torch.zeros((count, n), device=device) for name, n in {**widths, **single}.items()}
-        """[samples, n]; also `deviations`, [samples, num_actions], where they are a network's output."""
+        """[samples, n]; also `deviations`, [samples, num_actions], where they are a network's
+        output."""
         self.order = torch.zeros(count, dtype=torch.int64, device=device)
         """[samples], as the mini-batches take them."""
         self.places = torch.zeros(count, dtype=torch.int64, device=device)
-        """[samples]; those with an even number begin as they are where images take turns, the others as images."""
+        """[samples]; those with an even number begin as they are where images take turns, the
+        others as images."""
         self.batch_sizes: list[int] = []
 
     def __getitem__(self, name: str) -> torch.Tensor:
@@ -141,7 +144,8 @@ class Update:
             desired_kl: divergence that an adaptive learning rate follows.
 
         Returns:
-            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on with.
+            The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on
+            with.
 
         Raises:
             ConfigError: where a loss is not finite.

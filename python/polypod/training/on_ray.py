@@ -1,7 +1,9 @@
-"""Trainings on a Ray cluster: `polypod train --ray`. Ray starts the workers, and replaces those that die.
+"""Trainings on a Ray cluster: `polypod train --ray`.
 
-Workers find task, train config and run by the paths that the command line had: on several nodes the log directory must
-be one that all nodes share, such as a network file system.
+Ray starts the workers, and replaces those that die.
+
+Workers find task, train config and run by the paths that the command line had: on several nodes the
+log directory must be one that all nodes share, such as a network file system.
 """
 
 import dataclasses
@@ -20,7 +22,8 @@ from polypod.training.workers import LostWorkerError, Workers, is_among_workers
 from polypod.vector_env import make
 
 AUTO = "auto"
-"""Address: the cluster of this machine if there is one, else a new one for the time of the command."""
+"""Address: the cluster of this machine if there is one, else a new one for the time of the
+command."""
 MOST_FAILURES = 10
 """Largest number of restarts of a training's workers."""
 
@@ -33,7 +36,8 @@ def connected(address: str, purpose: str, module: str) -> tuple[Any, Any]:
     """
     ray = package("ray", purpose, "ray")
     part = package(module, purpose, "ray")
-    # trials and workers work in the folders that they are told; Ray's own usage reports are not ours to send
+    # trials and workers work in the folders that they are told; Ray's own usage reports are not
+    # ours to send
     os.environ.setdefault("RAY_CHDIR_TO_TRIAL_DIR", "0")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_TRAIN_ENABLE_PRINT_PATCH", "0")

@@ -1,7 +1,8 @@
 """Rollouts of a policy on a GPU: each control step is one launch of a CUDA graph.
 
-Observations go to the device and actions come back through pinned memory. Everything else of a step stays where it is
-until the iteration ends: rewards and ends of episodes on the host, samples on the device.
+Observations go to the device and actions come back through pinned memory. Everything else of a step
+stays where it is until the iteration ends: rewards and ends of episodes on the host, samples on the
+device.
 """
 
 from collections.abc import Callable
@@ -29,8 +30,8 @@ from polypod.training.workers import Workers
 class Rollout(Samples):
     """The samples of a policy that acts on the learner's device.
 
-    Every mini-batch holds each env equally often where the steps of an iteration allow it, else samples are drawn as
-    rsl_rl does.
+    Every mini-batch holds each env equally often where the steps of an iteration allow it, else
+    samples are drawn as rsl_rl does.
     """
 
     def __init__(

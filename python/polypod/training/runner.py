@@ -70,9 +70,10 @@ class Goal(Protocol):
 class Runner(OnPolicyRunner):
     """Collects, learns, records and saves.
 
-    `current_learning_iteration` counts finished iterations, and so does the number in a checkpoint's name. A checkpoint
-    is taken between iterations and holds the policy, the optimiser, torch's random streams and the simulator; training
-    that goes on from it computes what it would have computed without the interruption, bit for bit.
+    `current_learning_iteration` counts finished iterations, and so does the number in a
+    checkpoint's name. A checkpoint is taken between iterations and holds the policy, the optimiser,
+    torch's random streams and the simulator; training that goes on from it computes what it would
+    have computed without the interruption, bit for bit.
     """
 
     env: VecEnv
@@ -80,8 +81,8 @@ class Runner(OnPolicyRunner):
     draws = True
     """Whether torch's random streams decide the actions and the order of the samples."""
     storage: Mapping[str, Any] = {}
-    """Values of rsl_rl's configuration, other than those of the train config, that its networks and storage are built
-    with."""
+    """Values of rsl_rl's configuration, other than those of the train config, that its networks and
+    storage are built with."""
 
     def __init__(
         self,
@@ -136,7 +137,8 @@ class Runner(OnPolicyRunner):
         self.watch: Callable[[int, Mapping[str, float]], None] | None = None
         """Is told the number of finished iterations and the scalars of each."""
         self.goal: Goal | None = None
-        """Is asked after each iteration whether the training has reached it; of trainings in one process."""
+        """Is asked after each iteration whether the training has reached it; of trainings in one
+        process."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
@@ -161,14 +163,17 @@ class Runner(OnPolicyRunner):
     def learn(self, num_learning_iterations: int, init_at_random_ep_len: bool = False) -> None:
         """Runs `num_learning_iterations` iterations; a signal ends them and sets `stopped_by`.
 
-        A checkpoint that the disk does not take is tried again at the next save; the training goes on.
+        A checkpoint that the disk does not take is tried again at the next save; the training goes
+        on.
 
         Args:
             num_learning_iterations: how many.
-            init_at_random_ep_len: start the envs at random points of their episodes, so that time-outs are spread.
+            init_at_random_ep_len: start the envs at random points of their episodes, so that
+                time-outs are spread.
 
         Raises:
-            ConfigError: where the last checkpoint cannot be written, or the run's directory is gone.
+            ConfigError: where the last checkpoint cannot be written, or the run's directory is
+                gone.
         """
         if init_at_random_ep_len:
             sim = self.env.unwrapped.sim
@@ -245,7 +250,8 @@ class Runner(OnPolicyRunner):
     def _share_figures(self, worked: float, waited: float) -> dict[str, float]:
         """Tells the other workers of the iteration, and worker 0 of the episodes that ended.
 
-        All agree on whether to stop. Returns the seconds that each of several workers worked and waited.
+        All agree on whether to stop. Returns the seconds that each of several workers worked and
+        waited.
         """
         workers, sim = self.workers, self.env.unwrapped.sim
         if workers.count == 1:
@@ -332,7 +338,10 @@ class Runner(OnPolicyRunner):
     def load(
         self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
     ) -> dict[str, Any]:
-        """Takes over a checkpoint. Raises ConfigError for a file that is none or that fits another run."""
+        """Takes over a checkpoint.
+
+        Raises ConfigError for a file that is none or that fits another run.
+        """
         data = self.workers.from_first(lambda: run_dir.read_checkpoint(Path(path)))
         state = run_dir.checkpoint_of(data, Path(path), map_location or self.device)
         try:
@@ -442,12 +451,18 @@ class Runner(OnPolicyRunner):
             torch.cuda.set_rng_state(of_cuda[0].cpu(), self.device)
 
     def _seed_worker(self, seed: int) -> None:
-        """Gives every worker but the first one separate random streams. Networks start equal on all."""
+        """Gives every worker but the first one separate random streams.
+
+        Networks start equal on all.
+        """
         if not self.workers.is_first and self.draws:
             torch.manual_seed(int(np.random.SeedSequence([seed, self.workers.index]).generate_state(1, np.uint64)[0]))
 
     def start_from(self, path: Path) -> None:
-        """Takes over a checkpoint's networks and nothing else. Raises ConfigError where they do not fit."""
+        """Takes over a checkpoint's networks and nothing else.
+
+        Raises ConfigError where they do not fit.
+        """
         data = self.workers.from_first(lambda: run_dir.read_checkpoint(path))
         state = run_dir.checkpoint_of(data, path, self.device)
         try:
@@ -465,7 +480,8 @@ class Runner(OnPolicyRunner):
     def _fit_critic(self, path: Path, state: dict[str, Any]) -> bool:
         """Makes a checkpoint's critic this run's; returns whether there is one to load.
 
-        An actor whose weights know no slots acts for other bodies. Its critic goes on with the numbers that both know.
+        An actor whose weights know no slots acts for other bodies. Its critic goes on with the
+        numbers that both know.
         """
         if not isinstance(self.alg.actor, UrmaModel):
             return True
@@ -490,7 +506,10 @@ class Runner(OnPolicyRunner):
         return True
 
     def learn_from(self, teacher: Path) -> None:
-        """Takes over the network that a distillation learns from. Raises ConfigError where it does not fit."""
+        """Takes over the network that a distillation learns from.
+
+        Raises ConfigError where it does not fit.
+        """
         state = run_dir.load_checkpoint(teacher, self.device)
         try:
             self.alg.load(state, {"teacher": True}, True)

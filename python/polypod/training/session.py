@@ -56,9 +56,11 @@ class Options:
     overrides: list[str] = dataclasses.field(default_factory=list)
     until_walks: int | None = None
     run: Path | None = None
-    """A directory that was made for the run; None: a new one in `log_dir`. No flag of the command line."""
+    """A directory that was made for the run; None: a new one in `log_dir`. No flag of the command
+    line."""
     origin: str | None = None
-    """The command line of another command that trains with these options. No flag of `polypod train`."""
+    """The command line of another command that trains with these options. No flag of `polypod
+    train`."""
 
     @property
     def command(self) -> str:
@@ -105,7 +107,8 @@ def train(options: Options) -> int:
     With `until_walks` it is 3 where not all robots walk.
 
     Raises:
-        ConfigError: for options that name nothing, contradict the run to resume, or are out of range.
+        ConfigError: for options that name nothing, contradict the run to resume, or are out of
+            range.
     """
     is_cuda = options.device != "cpu" and torch.cuda.is_available()
     workers = Workers.join(is_cuda)
@@ -251,7 +254,10 @@ def next_options(options: Options, run: Path, target: int) -> Options | None:
 
 
 def _check_same_plan(plan: Plan, options: Options, workers: Workers) -> None:
-    """Refuses workers that would train something else. Raises ConfigError, which names the difference."""
+    """Refuses workers that would train something else.
+
+    Raises ConfigError, which names the difference.
+    """
     versions = {
         "polypod": polypod.__version__,
         "torch": str(torch.__version__),
@@ -284,7 +290,10 @@ def _kept_if_begun(run: Path, is_new: bool) -> Iterator[None]:
 
 
 def new_plan(options: Options) -> Plan:
-    """Plan of a new run. Raises ConfigError for options that contradict each other or name nothing."""
+    """Plan of a new run.
+
+    Raises ConfigError for options that contradict each other or name nothing.
+    """
     of_task, of_training = config.split_overrides(options.overrides)
     train_config = config.load(options.train_config or config.DEFAULT, of_training)
     if options.run_name is not None and (
@@ -307,7 +316,8 @@ def settle(
     """Plan of a new run with a train config at hand.
 
     Args:
-        options: flags, of which task, robots, train config and overrides are not read where the others say them.
+        options: flags, of which task, robots, train config and overrides are not read where the
+            others say them.
         train_config: what to train, with the device, learner and precision still open.
         overrides: `key=value` pairs of the task.
         robots: names, or paths of configs; None: those of the task.
@@ -378,7 +388,10 @@ def _learner_of(options: Options) -> str | None:
 
 
 def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.PythonTerms | None:
-    """The terms of a run that goes on. A manifest names no code, so the file is named on the command line once more."""
+    """The terms of a run that goes on.
+
+    A manifest names no code, so the file is named on the command line once more.
+    """
     began = manifest.get("terms")
     if began is None and options.terms is not None:
         raise _core.ConfigError("--terms: this run was begun without; leave them out, or train anew without --resume")
@@ -426,7 +439,10 @@ def runner_of(
     reporter: Reporter,
     workers: Workers | None = None,
 ) -> Runner:
-    """Returns the runner of the config's learner, with new networks. The learner must be resolved."""
+    """Returns the runner of the config's learner, with new networks.
+
+    The learner must be resolved.
+    """
     if train_config.run.learner == "native":
         kind = NativeRunner if torch.device(device).type == "cpu" else GpuRunner
         return kind(env, train_config, run, device, reporter, workers)

@@ -34,7 +34,8 @@ MAX_EVALUATION = 64 << 20
 """Largest size of an evaluation, bytes."""
 MOST_TRIALS = 10_000
 METRIC = "error_vel_xy"
-"""Velocity error, m/s, of the exploring policy: the mean over the robots, which early stopping compares."""
+"""Velocity error, m/s, of the exploring policy: the mean over the robots, which early stopping
+compares."""
 
 Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,99}$")]
 """Name of a config or of robots: part of a folder's name."""
@@ -110,7 +111,8 @@ def read(file: Path, folder: Path) -> Sweep:
     """Reads a sweep; its runs lie in `folder`. Paths in it are relative to its own folder.
 
     Raises:
-        ConfigError: for a file that cannot be read, unknown keys, options that name nothing or contradict each other.
+        ConfigError: for a file that cannot be read, unknown keys, options that name nothing or
+            contradict each other.
     """
     try:
         tables = tomllib.loads(read_bytes(file, MAX_BYTES).decode())

@@ -14,7 +14,8 @@ MOMENTS = {"obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normali
 """Statistics of the observation, and what they are of a number that was never seen."""
 
 Number = tuple[str, str, int, str]
-"""A number of an observation: group, term, place within the term, and the slot or leg that it belongs to."""
+"""A number of an observation: group, term, place within the term, and the slot or leg that it
+belongs to."""
 
 
 def numbers_of(sim: _core.VecSim, groups: Sequence[str]) -> list[Number]:

@@ -18,8 +18,9 @@ pub enum Simd {
     Portable,
 }
 
-/// The way into code on single numbers that is compiled for an instruction set: fused multiply-adds are then instructions
-/// instead of function calls, and the compiler may put loops into lanes. Bits do not depend on it.
+/// The way into code on single numbers that is compiled for an instruction set: fused multiply-adds
+/// are then instructions instead of function calls, and the compiler may put loops into lanes. Bits
+/// do not depend on it.
 #[derive(Clone, Copy, Debug)]
 pub struct SimdDispatch {
     /// AVX2 with FMA, which the machine has; else what all machines of the architecture have.
@@ -66,7 +67,8 @@ pub fn prefetch<T>(value: &T) {
 pub struct SimdError(String, String);
 
 impl Simd {
-    /// Dispatch to code on single numbers that is compiled for this instruction set, as far as this machine has it.
+    /// Dispatch to code on single numbers that is compiled for this instruction set, as far as this
+    /// machine supports the set.
     pub fn dispatch(self) -> SimdDispatch {
         #[cfg(target_arch = "x86_64")]
         let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
@@ -116,7 +118,8 @@ impl Simd {
         }
     }
 
-    /// The one asked for, else the one that the environment variable `POLYPOD_SIMD` names, else the fastest.
+    /// The one asked for, else the one that the environment variable `POLYPOD_SIMD` names, else the
+    /// fastest.
     ///
     /// # Errors
     /// When it is unknown or this machine lacks it.

@@ -1,12 +1,15 @@
-//! SIMD lanes: the one place that knows instruction sets, and the only one of the crate with `unsafe` code.
+//! SIMD lanes: the one place that knows instruction sets, and the only one of the crate with
+//! `unsafe` code.
 //!
-//! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a `Real` type holds
-//! [`Real::LANES`] independent numbers, one per robot of a pack; no operation mixes lanes, and each operation is one
-//! correctly rounded IEEE 754 operation per lane. A lane's bits therefore depend neither on its position, nor on its
-//! neighbours, nor on the instruction set.
+//! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a
+//! `Real` type holds [`Real::LANES`] independent numbers, one per robot of a pack; no operation
+//! mixes lanes, and each operation is one correctly rounded IEEE 754 operation per lane. A lane's
+//! bits therefore depend neither on its position, nor on its neighbours, nor on the instruction
+//! set.
 //!
-//! Kernels are `#[inline(always)]` generic functions entered through [`Lanes::vectorize`], a function compiled for the
-//! instruction set, so that everything is inlined into code that may use it.
+//! Kernels are `#[inline(always)]` generic functions entered through [`Lanes::vectorize`], a
+//! function compiled for the instruction set, so that everything is inlined into code that may use
+//! it.
 
 mod dispatch;
 mod native;
@@ -40,8 +43,8 @@ pub trait Real:
     type Mask: Copy + Send + Sync + std::fmt::Debug;
     /// Number of independent numbers in a value.
     const LANES: usize;
-    /// Whether a step of bodies that are [alike](super::Parameters::is_alike) reads their common numbers from one copy. Where that is no
-    /// faster, it is not compiled.
+    /// Whether a step of [uniform](super::Parameters::is_alike) bodies reads their common numbers
+    /// from one copy. Where that is no faster, it is not compiled.
     const READS_ALIKE: bool = false;
     /// The same number in every lane.
     fn splat(x: f64) -> Self;
@@ -224,7 +227,8 @@ pub trait Kernel<S: Real> {
     fn run(self) -> Self::Output;
 }
 
-/// A lane type that packs of robots are stored in, with the way into code compiled for its instruction set.
+/// A lane type that packs of robots are stored in, with the way into code compiled for its
+/// instruction set.
 pub trait Lanes: Real {
     /// Runs a kernel, compiled for this lane type's instruction set.
     fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output;

@@ -7,13 +7,14 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::{Kernel, Lanes, Real};
 use crate::elementary;
 
-/// Where the exponent of a single-precision number stands in its bits, and what is added to it there.
+/// Where the exponent of a single-precision number stands in its bits, and what is added to it
+/// there.
 const EXPONENT_SHIFT: i32 = 23;
 /// See [`EXPONENT_SHIFT`].
 const EXPONENT_BIAS: i32 = 127;
 
-/// Defines a lane type over some native vector registers, from the intrinsics of one. Several registers hide the latency of
-/// an operation behind its neighbour's.
+/// Defines a lane type over some native vector registers, from the intrinsics of one. Several
+/// registers hide the latency of an operation behind its neighbour's.
 macro_rules! native_lanes {
     ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal, $features:literal, {
         add: $add:path, sub: $sub:path, mul: $mul:path, div: $div:path, fma: $fma:expr, fnma: $fnma:expr,
@@ -171,7 +172,8 @@ macro_rules! native_lanes {
                 fn compiled<K: Kernel<$name>>(kernel: K) -> K::Output {
                     kernel.run()
                 }
-                // SAFETY: packs of this type are only built after `Simd` has found the instruction set
+                // SAFETY: packs of this type are only built after `Simd` has found the instruction
+                // set
                 unsafe { compiled(kernel) }
             }
         }
@@ -180,7 +182,8 @@ macro_rules! native_lanes {
     (@each $registers:literal, $f:expr, $first:expr $(, $other:expr)*) => {{
         let (mut out, mut i) = ($first, 0);
         while i < $registers {
-            // SAFETY: reached only through `vectorize`, whose caller has checked the instruction set
+            // SAFETY: reached only through `vectorize`, whose caller has checked the instruction
+            // set
             out.0[i] = unsafe { $f($first.0[i] $(, $other.0[i])*) };
             i += 1;
         }

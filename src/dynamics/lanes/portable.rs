@@ -36,8 +36,8 @@ impl Neg for Portable {
     }
 }
 
-/// `a * b + c`, rounded once. A separate function: where the machine has no such instruction, every lane is a call. Thousands of them
-/// in line would make a kernel many times as large.
+/// `a * b + c`, rounded once. A separate function: where the machine has no such instruction, every
+/// lane is a call. Thousands of them in line would make a kernel many times as large.
 #[inline(never)]
 fn fused_multiply_add(a: &Portable, b: &Portable, c: &Portable) -> Portable {
     Portable(std::array::from_fn(|i| a.0[i].mul_add(b.0[i], c.0[i])))

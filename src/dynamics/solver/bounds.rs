@@ -57,8 +57,8 @@ fn solve_bounds<S: Real>(
     block.rows.apply(topology, further, &change, y_base, y_joint);
 }
 
-/// Sweeps over joint limits alone until none changes a velocity, in the lanes that are `active`. `pushing` selects the motion that pushes
-/// joints back in place of the velocity.
+/// Sweeps over joint limits alone until none changes a velocity, in the lanes that are `active`.
+/// `pushing` selects the motion that pushes joints back in place of the velocity.
 #[inline(always)]
 pub(super) fn settle_limits<S: Real>(
     topology: &Topology,
@@ -76,7 +76,8 @@ pub(super) fn settle_limits<S: Real>(
     }
 }
 
-/// One sweep over joint limits alone, for `pushing` as in [`settle_limits`]. Returns the largest change of a velocity, rad/s or m/s.
+/// One sweep over joint limits alone, for `pushing` as in [`settle_limits`]. Returns the largest
+/// change of a velocity, rad/s or m/s.
 #[inline(always)]
 pub(super) fn sweep_limits<S: Real>(
     topology: &Topology,
@@ -122,7 +123,8 @@ impl<S: Real> BoundRow<S> {
         w.neg_mul_add(self.inverse, self.friction_impulse)
     }
 
-    /// Sets the impulse of dry friction, as near to `stopping` as its bound lets it. Returns the change.
+    /// Sets the impulse of dry friction, as near to `stopping` as its bound lets it. Returns the
+    /// change.
     #[inline(always)]
     fn apply_friction(&mut self, stopping: S, active: S::Mask) -> S {
         let old = self.friction_impulse;
@@ -131,7 +133,8 @@ impl<S: Real> BoundRow<S> {
         self.friction_impulse - old
     }
 
-    /// Sets the impulse of the limit, which brings the velocity `w` into its bounds. Returns the change.
+    /// Sets the impulse of the limit, which brings the velocity `w` into its bounds. Returns the
+    /// change.
     #[inline(always)]
     fn apply_limit(&mut self, w: S, active: S::Mask) -> S {
         let (lowest, highest) = (self.lowest.min(S::zero()), self.highest.max(S::zero()));

@@ -28,7 +28,8 @@ pub(super) fn sweep_contacts<S: Real, B: BodyNumbers<S>>(
     *y_base = base;
 }
 
-/// Static and dynamic coefficient of a contact; `friction` is that of the whole robot, which links of one robot have among themselves.
+/// Static and dynamic coefficient of a contact; `friction` is that of the whole robot, which links
+/// of one robot have among themselves.
 #[inline(always)]
 pub(super) fn sliding_friction<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -54,7 +55,8 @@ fn solve_contact<S: Real>(
     y_base: &mut [S; 6],
     y_joint: &mut [[S; BLOCK]],
 ) {
-    // a visit waits for the velocity that the last visit left: what does not depend on it is computed first
+    // a visit waits for the velocity that the last visit left: what does not depend on it is
+    // computed first
     let z = S::zero();
     let active = S::and(active, row.near);
     let old = row.impulse;
@@ -70,7 +72,8 @@ fn solve_contact<S: Real>(
     let hold = friction[0] * normal;
     let presses = z.lt(normal);
     let slides = (hold * hold).lt(t1.mul_add(t1, t2 * t2));
-    // else it slides: an impulse against the velocity, of one mass in all directions, in the disc of the dynamic coefficient
+    // else it slides: an impulse against the velocity, of one mass in all directions, in the disc
+    // of the dynamic coefficient
     let (w1, w2) = (row.coupling[0].mul_add(dn, w[1]), row.coupling[1].mul_add(dn, w[2]));
     let [s1, s2] = sliding(row.slide, [w1, w2], [old[1], old[2]], friction[1] * normal);
     let tangential = [S::select(slides, s1, t1), S::select(slides, s2, t2)];
@@ -83,8 +86,8 @@ fn solve_contact<S: Real>(
     row.rows.apply(topology, further, &[dn, new[1] - old[1], new[2] - old[2]], y_base, y_joint);
 }
 
-/// Impulses along the tangents of a point that slides at the velocities `w`: against them, in a disc of radius `bound`. `mass` is
-/// [`ContactRows::slide`].
+/// Impulses along the tangents of a point that slides at the velocities `w`: against them, in a
+/// disc of radius `bound`. `mass` is [`ContactRows::slide`].
 #[inline(always)]
 pub(super) fn sliding<S: Real>(mass: S, w: [S; 2], impulse: [S; 2], bound: S) -> [S; 2] {
     let (s1, s2) = (w[0].neg_mul_add(mass, impulse[0]), w[1].neg_mul_add(mass, impulse[1]));

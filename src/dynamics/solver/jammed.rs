@@ -10,7 +10,8 @@ use crate::sparse_rows::JointRows;
 
 use super::contacts::{sliding, sliding_friction};
 
-/// Lanes in which another sweep would change the velocity of a contact by more than the settings allow.
+/// Lanes in which another sweep would change the velocity of a contact by more than the settings
+/// allow.
 #[inline(always)]
 pub(super) fn unsettled<S: Real>(topology: &Topology, solver: &SolverSettings, work: &ContactWork<S>) -> S::Mask {
     let mut beyond = S::zero();
@@ -51,10 +52,11 @@ pub(super) fn sweep_jammed<S: Real, B: BodyNumbers<S>>(
 
 /// Brings the velocity of one contact to its target where regular sweeps have not settled it.
 ///
-/// A normal impulse and its friction may undo each other, so that sweeps go back and forth between two states: the point is pushed up,
-/// friction that grows with the push lifts it further, and next it is not pushed at all. Hence friction that is at its bound follows
-/// the normal impulse at once. A normal impulse that turns back goes a share of its way. The point then sticks up to the dynamic
-/// coefficient, since between two coefficients it would go back and forth too.
+/// A normal impulse and its friction may undo each other, so that sweeps go back and forth between
+/// two states: the point is pushed up, friction that grows with the push lifts it further, and next
+/// it is not pushed at all. Hence friction that is at its bound follows the normal impulse at once.
+/// A normal impulse that turns back goes a share of its way. The point then sticks up to the
+/// dynamic coefficient, since between two coefficients it would go back and forth too.
 #[inline(always)]
 fn solve_jammed_contact<S: Real>(
     topology: &Topology,

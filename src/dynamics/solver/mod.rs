@@ -19,11 +19,13 @@ use push::push;
 use spins::sweep_spins;
 use warm_start::warm_start;
 
-/// Solves the constraints: warm start, regular sweeps, extra rounds where contacts are jammed, and the push out of penetrations.
+/// Solves the constraints: warm start, regular sweeps, extra rounds where contacts are jammed, and
+/// the push out of penetrations.
 ///
-/// Afterwards the sparse velocity `base`, `joints` of the workspace satisfies the constraints. If anything
-/// [`pushes`](ContactWork::pushes), `moved_base`, `moved_joints` is the velocity that moves the bodies. Velocities, forces and friction
-/// leave the push out: with it they would win energy, and friction would resist it where links are jammed.
+/// Afterwards the sparse velocity `base`, `joints` of the workspace satisfies the constraints. If
+/// anything [`pushes`](ContactWork::pushes), `moved_base`, `moved_joints` is the velocity that
+/// moves the bodies. Velocities, forces and friction leave the push out: with it they would win
+/// energy, and friction would resist it where links are jammed.
 #[inline(always)]
 pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -69,7 +71,8 @@ fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
 ) {
     let mut active = all;
     for sweep in 1..=settings.iterations {
-        // a caller who asks for more sweeps gets all of them: many small changes settle a load that many points share
+        // a caller who asks for more sweeps gets all of them: many small changes settle a load that
+        // many points share
         let measures = settings.iterations <= SWEEPS
             && sweep.is_multiple_of(settings.solver.check_interval)
             && sweep < settings.iterations;
@@ -92,8 +95,8 @@ fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
     }
 }
 
-/// Lanes in which the velocity differs from the one kept in `moved_base`, `moved_joints` by more than
-/// [`min_change`](SolverSettings::min_change).
+/// Lanes in which the velocity differs from the one kept in `moved_base`, `moved_joints` by more
+/// than [`min_change`](SolverSettings::min_change).
 #[inline(always)]
 fn changed<S: Real>(solver: &SolverSettings, work: &ContactWork<S>) -> S::Mask {
     let mut energy = S::zero();
@@ -105,7 +108,8 @@ fn changed<S: Real>(solver: &SolverSettings, work: &ContactWork<S>) -> S::Mask {
     S::splat(solver.min_change * solver.min_change).lt(energy * work.compliance)
 }
 
-/// Marks the contacts and bounds that take part in one of these lanes. Sweeps skip the others, which have no impulse there.
+/// Marks the contacts and bounds that take part in one of these lanes. Sweeps skip the others,
+/// which have no impulse there.
 #[inline(always)]
 fn mark_active<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for row in &mut work.contacts[..work.num_contacts] {

@@ -1,4 +1,5 @@
-//! The push out of penetrations and back from beyond limits: it moves bodies and leaves their velocities alone.
+//! The push out of penetrations and back from beyond limits: it moves bodies and leaves their
+//! velocities alone.
 
 use crate::articulation::Topology;
 use crate::lanes::Real;
@@ -8,7 +9,8 @@ use crate::settings::SolverSettings;
 use super::bounds::{settle_limits, sweep_limits};
 use super::mark_active;
 
-/// Adds to `moved_base` and `moved_joints` what pushes penetrations out and joints back from beyond their limits.
+/// Adds to `moved_base` and `moved_joints` what pushes penetrations out and joints back from beyond
+/// their limits.
 #[inline(always)]
 pub(super) fn push<S: Real>(topology: &Topology, solver: &SolverSettings, work: &mut ContactWork<S>) {
     // the sweeps work on `base` and `joints`
@@ -30,8 +32,8 @@ pub(super) fn push<S: Real>(topology: &Topology, solver: &SolverSettings, work: 
     std::mem::swap(&mut work.joints, &mut work.moved_joints);
 }
 
-/// One sweep over the contacts' normals for the motion that pushes penetrations out, in the lanes that are `active`. Returns the largest
-/// change of a velocity, m/s.
+/// One sweep over the contacts' normals for the motion that pushes penetrations out, in the lanes
+/// that are `active`. Returns the largest change of a velocity, m/s.
 #[inline(always)]
 fn push_contacts<S: Real>(topology: &Topology, active: S::Mask, work: &mut ContactWork<S>) -> S {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;

@@ -1,7 +1,8 @@
 //! Sweeps over torsional and rolling friction.
 //!
-//! The two and sliding friction have bounds of their own: an interval about the normal, a disc about the tangents. MuJoCo's elliptic cone
-//! shares the normal impulse among them; what sticks, as a foot that carries weight does, is held in both.
+//! The two and sliding friction have separate bounds: an interval about the normal, a disc about
+//! the tangents. MuJoCo's elliptic cone shares the normal impulse among them; what sticks, as a
+//! foot that carries weight does, is held in both.
 
 use crate::articulation::{ContactFriction, Topology};
 use crate::blocks::BLOCK;
@@ -13,7 +14,8 @@ use crate::spin_rows::SpinRows;
 
 use super::contacts::sliding;
 
-/// One sweep over torsional and rolling friction, in the lanes that are `active`; nothing where neither acts.
+/// One sweep over torsional and rolling friction, in the lanes that are `active`; nothing where
+/// neither acts.
 #[inline(always)]
 pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,
@@ -38,7 +40,8 @@ pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
     *y_base = base;
 }
 
-/// Torsional and rolling coefficient of a ground contact, m: the larger of its surface's and `friction`, that of robot and ground.
+/// Torsional and rolling coefficient of a ground contact, m: the larger of its surface's and
+/// `friction`, that of robot and ground.
 #[inline(always)]
 fn spin_friction<S: Real, B: BodyNumbers<S>>(
     topology: &Topology,

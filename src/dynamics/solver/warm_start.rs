@@ -9,15 +9,16 @@ use crate::rows::ContactWork;
 /// Keeps the share finite where there are no impulses, kg m^2/s^2.
 const MIN_ENERGY: f64 = 1e-20;
 
-/// Applies the impulses of the last physics step, all scaled by one share in `[0, 1]`: the share that comes nearest to the solution.
-/// At rest it is one, after an impact nearly zero.
+/// Applies the impulses of the last physics step, all scaled by one share in `[0, 1]`: the share
+/// that comes nearest to the solution. At rest it is one, after an impact nearly zero.
 ///
-/// The solution keeps the rows' targets with the least kinetic energy of the change of velocity (Gauss's principle). Along the ray of
-/// the old impulses this energy is a parabola.
+/// The solution keeps the rows' targets with the least kinetic energy of the change of velocity
+/// (Gauss's principle). Along the ray of the old impulses this energy is a parabola.
 #[inline(always)]
 pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, work: &mut ContactWork<S>) {
     let z = S::zero();
-    // the change of the velocity by the whole impulses, in memory that the moved velocity takes over later
+    // the change of the velocity by the whole impulses, in memory that the moved velocity takes
+    // over later
     work.moved_base = [z; 6];
     work.moved_joints.fill([z; BLOCK]);
     let ContactWork {

@@ -1,9 +1,11 @@
-//! Revolute joints as velocity constraints between rigid bodies, solved in turn with Avian's contacts.
+//! Revolute joints as velocity constraints between rigid bodies, solved in turn with Avian's
+//! contacts.
 //!
-//! The joints of a robot form a tree, so all of them are solved at once, exactly: articulated inertias are summed from the
-//! leaves to the base, and changes of velocity handed on from the base to the leaves (Featherstone, Rigid Body Dynamics
-//! Algorithms, 2008, section 7.3, for impulses). Gains, damping and rotors are implicit parts of that solution. Dry
-//! friction and position limits are impulses that every solution corrects for the next one.
+//! The joints of a robot form a tree, so all of them are solved at once, exactly: articulated
+//! inertias are summed from the leaves to the base, and changes of velocity handed on from the base
+//! to the leaves (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 7.3, for impulses).
+//! Gains, damping and rotors are implicit parts of that solution. Dry friction and position limits
+//! are impulses that every solution corrects for the next one.
 
 use std::f64::consts::TAU;
 
@@ -13,15 +15,19 @@ use bevy_math::{Mat3, Quat, Vec3};
 
 use crate::dynamics::{EffortTable, Parameters, Topology};
 
-/// Share of an anchor's gap, of an axis's misalignment and of a limit's violation that is taken back in a substep.
+/// Share of an anchor's gap, of an axis's misalignment and of a limit's violation that is taken
+/// back in a substep.
 const TAKEN_BACK: f32 = 0.2;
-/// Share of a substep by which the stiffness looks ahead. From 1/4 on every stiffness is stable; 1 is backward Euler.
+/// Share of a substep by which the stiffness looks ahead. From 1/4 on every stiffness is stable; 1
+/// is backward Euler.
 const LOOK_AHEAD: f32 = 0.36;
-/// Share of `h^2 k` of a spring that acts as inertia: stable for every stiffness, without numerical damping.
+/// Share of `h^2 k` of a spring that acts as inertia: stable for every stiffness, without numerical
+/// damping.
 const AVERAGE_ACCELERATION: f32 = 0.25;
 /// Links that came apart return at no more than this, m/s or rad/s.
 const MAX_RETURN: f32 = 4.0;
-/// Share of the inertia behind a joint that corrections of its bounds count with: what is before the joint yields, too.
+/// Share of the inertia behind a joint that corrections of its bounds count with: what is before
+/// the joint yields, too.
 const BOUND_MASS: f32 = 0.4;
 
 /// Impulses about a joint's axis over one substep.
@@ -33,7 +39,8 @@ struct AxisRow {
     slope: f32,
     /// Rotor inertia, viscous damping and the spring's implicit share, kg m^2.
     drag: f32,
-    /// Rotor inertia and the spring's implicit share times the speed before, and the spring's impulse, N m s.
+    /// Rotor inertia and the spring's implicit share times the speed before, and the spring's
+    /// impulse, N m s.
     momentum: f32,
     /// Largest impulse of dry friction, N m s.
     friction: f32,
@@ -135,7 +142,8 @@ pub(super) struct Joint {
     bound: f32,
     /// Impulse about the axis so far in the present substep, N m s.
     applied: f32,
-    /// Speed that the joints were last solved for, rad/s: the rotor's. Contacts change that of the links alone.
+    /// Speed that the joints were last solved for, rad/s: the rotor's. Contacts change that of the
+    /// links alone.
     rotor: f32,
     row: AxisRow,
     start: Geometry,
@@ -161,7 +169,8 @@ impl Joint {
         self.rotor = self.velocity as f32;
     }
 
-    /// Impulses of dry friction and bounds (N m s) and the rotor's speed (rad/s), with which the next step begins.
+    /// Impulses of dry friction and bounds (N m s) and the rotor's speed (rad/s), with which the
+    /// next step begins.
     pub(super) fn kept(&self) -> [f32; 3] {
         [self.rub, self.bound, self.rotor]
     }
@@ -304,7 +313,8 @@ impl Joints {
         }
     }
 
-    /// One substep of what acts on the bases from outside; the joints hand it on to the other links.
+    /// One substep of what acts on the bases from outside; the joints hand it on to the other
+    /// links.
     pub(super) fn push(&self, bodies: &mut [SolverBody]) {
         let links = self.num_joints() + 1;
         let at_rest = Wrench::default();
@@ -316,7 +326,8 @@ impl Joints {
         }
     }
 
-    /// Takes up where the bodies are, what the actuators do in this substep, and the articulated inertias.
+    /// Takes up where the bodies are, what the actuators do in this substep, and the articulated
+    /// inertias.
     pub(super) fn begin(&mut self, bodies: &[SolverBody], first: bool) {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
         let (h, gains) = (self.h, self.gains);
@@ -374,7 +385,8 @@ impl Joints {
         }
     }
 
-    /// Changes the velocities so that the joints hold, with `bias` also taking back what they came apart.
+    /// Changes the velocities so that the joints hold, with `bias` also taking back what they came
+    /// apart.
     pub(super) fn solve(&mut self, bodies: &mut [SolverBody], bias: bool) {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
         let back = if bias { TAKEN_BACK / self.h } else { 0.0 };
@@ -483,8 +495,8 @@ impl Joints {
 }
 
 impl Joint {
-    /// Gains and feed-forward effort within the motor's torque-speed line and the effort limit (or its table): implicit
-    /// inside them, explicit beyond, as in the articulated engine.
+    /// Gains and feed-forward effort within the motor's torque-speed line and the effort limit (or
+    /// its table): implicit inside them, explicit beyond, as in the articulated engine.
     fn actuate(&mut self, table: Option<&EffortTable>, speed: f32, gains: bool, explicit: bool, h: f32) {
         let n = &self.numbers;
         let limit = match table {

@@ -1,8 +1,9 @@
-//! The other physics engine: links as Avian's rigid bodies, held together by joints of polypod's own.
+//! The other physics engine: links as Avian's rigid bodies, held together by joints of polypod's
+//! own.
 //!
-//! Avian finds and solves the contacts with the ground. Its own joints correct positions after its contacts are solved,
-//! which makes feet slide; [`joints`] solves changes of velocity instead, all joints of a robot at once, in turn with the contacts
-//! in every substep.
+//! Avian finds and solves the contacts with the ground. Its own joints correct positions after its
+//! contacts are solved, which makes feet slide; [`joints`] solves changes of velocity instead, all
+//! joints of a robot at once, in turn with the contacts in every substep.
 
 mod joints;
 mod robots;
@@ -101,7 +102,8 @@ struct Env {
 }
 
 impl Worlds {
-    /// The robots of a kind in up to `num_chunks` worlds, each among the same `statics`; `nominal` are their numbers.
+    /// The robots of a kind in up to `num_chunks` worlds, each among the same `statics`; `nominal`
+    /// are their numbers.
     pub(crate) fn new<T>(
         kind: &Kind<T>,
         nominal: &Parameters<f64>,
@@ -193,7 +195,8 @@ impl Worlds {
         chunk.joints.wrenches[i] = Wrench { force: Vec3::from_array(force), torque: Vec3::from_array(torque) };
     }
 
-    /// How far the links' origins are from where forward kinematics of the state has them, at most, m.
+    /// How far the links' origins are from where forward kinematics of the state has them, at most,
+    /// m.
     pub(crate) fn drift(&self, env: usize) -> f64 {
         let (chunk, i) = self.at(env);
         let links = self.topology.num_links();
@@ -208,8 +211,8 @@ impl Worlds {
         distances.fold(0.0, f64::max)
     }
 
-    /// `n` physics steps of all envs. With `gains` the actuators pull to the targets, and `explicit` joints hold the effort
-    /// of the beginning of a physics step.
+    /// `n` physics steps of all envs. With `gains` the actuators pull to the targets, and
+    /// `explicit` joints hold the effort of the beginning of a physics step.
     pub(crate) fn step(&mut self, workers: &Workers, explicit: &[bool], gains: bool, n: usize) {
         let topology = &self.topology;
         workers.for_each(self.chunks.iter_mut(), |chunk| chunk.step(topology, explicit, gains, n));
@@ -410,7 +413,8 @@ impl Chunk {
     }
 }
 
-/// Leaves poses and velocities of the links in the workspace, in base axes; the base's axes in the world.
+/// Leaves poses and velocities of the links in the workspace, in base axes; the base's axes in the
+/// world.
 pub(crate) fn forward(
     topology: &Topology,
     parameters: &Parameters<f64>,

@@ -87,8 +87,8 @@ pub(super) struct Contents<'a> {
     pub(super) statics: &'a [Part],
 }
 
-/// A world with these contents; all poses and masses are still to be set. `None` when Avian keeps the links
-/// in another order than they were made in.
+/// A world with these contents; all poses and masses are still to be set. `None` when Avian keeps
+/// the links in another order than they were made in.
 pub(super) fn build(contents: Contents, gravity: [f64; 3], substeps: usize) -> Option<(World, Bodies)> {
     let mut app = App::empty();
     app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
@@ -265,8 +265,9 @@ pub(super) fn step(world: &mut World, dt: Duration, h: Duration) {
     world.run_schedule(PhysicsSchedule);
 }
 
-/// Adds what touched in the last physics step to `add(pair, impulse on its first body, its part along the contact's normal)`. Pairs count robot after robot:
-/// collider after collider with all that stands still, then the colliders that may touch each other.
+/// Adds what touched in the last physics step to `add(pair, impulse on its first body, its part
+/// along the contact's normal)`. Pairs count robot after robot: collider after collider with all
+/// that stands still, then the colliders that may touch each other.
 pub(super) fn contact_impulses(world: &World, mut add: impl FnMut(usize, Vec3, f32)) {
     let (Some(constraints), Some(contacts), Some(impulses)) = (
         world.get_resource::<ConstraintGraph>(),
@@ -354,8 +355,8 @@ pub(super) fn push_contacts(world: &mut World) {
     });
 }
 
-/// Solves contacts in an order that depends on nothing but which there are, and warm-starts friction with the impulses of
-/// the last step.
+/// Solves contacts in an order that depends on nothing but which there are, and warm-starts
+/// friction with the impulses of the last step.
 ///
 /// Avian keeps them along tangents that it chooses again in every step, by the direction of a
 /// velocity that is all but zero for feet that stand, and would apply them in another direction.
@@ -496,7 +497,8 @@ impl Joints {
     }
 }
 
-/// One component of all entities that a query matches, which lie in one table in the order in which they were made.
+/// One component of all entities that a query matches, which lie in one table in the order in which
+/// they were made.
 fn read_rows<'w, C: Component, F: ArchetypeFilter>(query: &'w Query<'_, '_, &'static C, F>) -> &'w [C] {
     query.contiguous_iter().ok().and_then(|mut tables| tables.next()).unwrap_or_default()
 }

@@ -1,6 +1,7 @@
-"""The contract of a policy on a robot, read from its file and compared with all else that the file says.
+"""The contract of a policy on a robot, read from its file and compared with the rest of it.
 
-It needs no other package. `docs/deploy.md` of polypod explains the contract, `contract.schema.json` is its schema.
+It needs no other package. `docs/deploy.md` of polypod explains the contract, `contract.schema.json`
+is its schema.
 """
 
 import dataclasses
@@ -39,7 +40,7 @@ OF_JOINTS = ("joint_position", "joint_position_minus_default", "joint_velocity")
 
 
 class ContractError(ValueError):
-    """A file that no loop obeys: the message names the file, the element, the problem and the remedy."""
+    """A file that no loop obeys: the message names file, element, problem and remedy."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +110,7 @@ class Motors:
 
 @dataclasses.dataclass(frozen=True)
 class Contract:
-    """What a file promises and demands."""
+    """Contract of a file: its promises and demands."""
 
     graph: str
     """"folded": sensors to joint targets; "network": the observation to the action."""
@@ -133,7 +134,7 @@ class Contract:
     safety: Safety
     motors: Motors | None
     sha256: str
-    """Of the text."""
+    """SHA-256 of the text."""
 
     @property
     def joint_names(self) -> list[str]:
@@ -164,7 +165,10 @@ def read_contract(text: str | None, name: str, said: Mapping[str, str] | None = 
 
 
 def check_tensors(contract: Contract, inputs: Sequence[Any], outputs: Sequence[Any], name: str) -> None:
-    """Compares a contract with the tensors of its graph, each with `name`, `type` and `shape`. Raises ContractError."""
+    """Compares a contract with the tensors of its graph, each with `name`, `type` and `shape`.
+
+    Raises ContractError.
+    """
     read = _Reader(name)
     wanted: dict[str, tuple[int, ...]] = {key: (1, size) for key, size in contract.inputs.items()}
     wanted |= {key: shape for key, (_, shape) in contract.states.items()}

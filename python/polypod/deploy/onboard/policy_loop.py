@@ -1,6 +1,7 @@
 """The loop of a policy on a robot: sensors in, commands of motors out, once per control step.
 
-It needs numpy, and onnxruntime to run a graph; it needs no polypod. All that it knows stands in the file's contract.
+It needs numpy, and onnxruntime to run a graph; it needs no polypod. All that it knows stands in the
+file's contract.
 
     from onboard.policy_loop import open_loop
 
@@ -10,7 +11,8 @@ It needs numpy, and onnxruntime to run a graph; it needs no polypod. All that it
     while True:
         command = loop.step(now, sensors, (0.5, 0.0, 0.0))
 
-Interfaces of robots are in `unitree.py` and `ros2_control.py`. `policy_loop.hpp` is the same loop in C++.
+Interfaces of robots are in `unitree.py` and `ros2_control.py`. `policy_loop.hpp` is the same loop
+in C++.
 """
 
 import dataclasses
@@ -38,10 +40,10 @@ DAMP, STAND, WALK = "damp", "stand", "walk"
 
 @dataclasses.dataclass(frozen=True)
 class Sensors:
-    """What a robot measures; joints in the order of the contract."""
+    """Measurements of a robot; joints in the order of the contract."""
 
     time: float
-    """Of the measurement, s, on the clock of `Loop.step`."""
+    """Time of the measurement, s, on the clock of `Loop.step`."""
     joint_pos: npt.ArrayLike
     joint_vel: npt.ArrayLike
     quaternion: npt.ArrayLike
@@ -49,16 +51,17 @@ class Sensors:
     angular_velocity: npt.ArrayLike
     """Base axes, rad/s."""
     linear_velocity: npt.ArrayLike | None = None
-    """Of the base link's origin, base axes, m/s, from an estimator; None without one."""
+    """Velocity of the base link's origin, base axes, m/s, from an estimator; None without one."""
     height_scan: npt.ArrayLike | None = None
-    """Height of the base link's origin above the ground at the contract's points, m; None without a map."""
+    """Height of the base link's origin above the ground at the contract's points, m; None without a
+    map."""
     extra: Mapping[str, npt.ArrayLike] = dataclasses.field(default_factory=dict)
     """Inputs that the robot measures under their own names."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Command:
-    """What the motors hold until the next control step; joints in the order of the contract.
+    """Command that the motors hold until the next control step, in the order of the contract.
 
     Effort: `tau + kp (q - measured position) + kd (dq - measured velocity)`.
     """
@@ -115,11 +118,17 @@ class Loop:
         self._past: dict[str, Array] = {}
 
     def stand(self) -> None:
-        """Moves to the default pose, and clears a fault. If its cause is still there, the next step damps again."""
+        """Moves to the default pose, and clears a fault.
+
+        If its cause is still there, the next step damps again.
+        """
         self.mode, self.fault, self.detail, self._from, self._walks_next = STAND, None, "", None, False
 
     def walk(self, at_once: bool = False) -> None:
-        """Lets the policy act when the robot stands, or `at_once`. Does nothing in the damping mode without it."""
+        """Lets the policy act when the robot stands, or `at_once`.
+
+        Does nothing in the damping mode without it.
+        """
         if at_once:
             self.fault, self.detail = None, ""
             self._walk()
@@ -136,7 +145,8 @@ class Loop:
         Args:
             now: s, on the clock of `sensors.time`.
             sensors: the newest measurement.
-            command: forward and left velocity, m/s, and yaw rate, rad/s; it is kept within the contract's ranges.
+            command: forward and left velocity, m/s, and yaw rate, rad/s; it is kept within the
+                contract's ranges.
         """
         try:
             return self._step(float(now), sensors, command)
@@ -188,7 +198,7 @@ class Loop:
         self.inputs |= self._memory
         try:
             found = self.network(self.inputs)
-        except Exception as error:  # a runtime raises classes of its own; motors must not keep the last command
+        except Exception as error:  # a runtime raises classes unknown here; motors must not keep the last command
             return self._fail("action_not_finite", f"the graph is not run: {type(error).__name__}: {error}")
         actions = np.asarray(found["actions"], dtype=np.float32).reshape(-1)
         if actions.shape != self.action.shape:
@@ -214,7 +224,10 @@ class Loop:
         return targets
 
     def observe(self, read: Mapping[str, Array]) -> Array:
-        """The observation [size] of readings by name. It remembers past ones for terms with a history."""
+        """The observation [size] of readings by name.
+
+        It remembers past ones for terms with a history.
+        """
         values = []
         for term in self.contract.terms:
             if term.constant is not None:
@@ -347,7 +360,7 @@ def open_file(path: str | os.PathLike[str]) -> tuple[Any, Contract]:
 
 
 def open_data(data: bytes, name: str) -> tuple[Any, Contract]:
-    """The same of the bytes of a file; `name` stands for it in errors."""
+    """Like `open_file` for the bytes of a file; `name` stands for it in errors."""
     # onnxruntime reports its use to its maker unless this is set before it is imported
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime

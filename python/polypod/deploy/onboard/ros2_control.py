@@ -1,4 +1,6 @@
-"""Messages and interfaces of ROS 2: sensor_msgs/JointState and sensor_msgs/Imu in, interfaces of ros2_control out.
+"""Messages and interfaces of ROS 2.
+
+sensor_msgs/JointState and sensor_msgs/Imu in, interfaces of ros2_control out.
 
 No module of ROS is imported: anything of the messages' shape will do.
 """
@@ -15,10 +17,11 @@ INTERFACES = ("position", "velocity", "effort", "kp", "kd")
 
 
 def sensors_of(contract: Contract, joints: Any, imu: Any) -> Sensors:
-    """The sensors in a `JointState` and an `Imu`; joints by their names, in whatever order the message has.
+    """The sensors in a `JointState` and an `Imu`; joints by name, in any order.
 
-    An `Imu` has x, y, z, w, and says with orientation_covariance[0] = -1 that it gives no orientation. The older of the
-    two messages tells the time. What is absent is not finite, at which the loop damps.
+    An `Imu` has x, y, z, w, and says with orientation_covariance[0] = -1 that it gives no
+    orientation. The older of the two messages tells the time. Absent values are not finite, at
+    which the loop damps.
     """
     place = {name: index for index, name in enumerate(joints.name)}
     joint_pos, joint_vel = (np.full(len(contract.joints), np.nan) for _ in range(2))
@@ -49,7 +52,8 @@ def interfaces(contract: Contract, command: Command) -> dict[str, float]:
 def efforts(contract: Contract, command: Command, sensors: Sensors) -> dict[str, float]:
     """Values of the interfaces `<joint>/effort` alone, of hardware without gains.
 
-    Call it at the rate of the controller manager, with the newest sensors; the command stays for a control step.
+    Call it at the rate of the controller manager, with the newest sensors; the command stays for a
+    control step.
     """
     limit = np.array([joint.effort_limit for joint in contract.joints])
     found = command.efforts(sensors.joint_pos, sensors.joint_vel, limit)

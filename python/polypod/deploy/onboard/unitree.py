@@ -1,8 +1,9 @@
 """Messages of Unitree's SDKs: what a loop reads of a state, and what it writes into a command.
 
-The messages are those of unitree_sdk2 (`LowState_`, `LowCmd_` of unitree_go and unitree_hg) and of unitree_legged_sdk
-(`LowState`, `LowCmd`), or anything of their shape. Head, level, checksum and the release of the robot's own controller
-are the SDK's business. Quaternions are w, x, y, z in all of them.
+The messages are those of unitree_sdk2 (`LowState_`, `LowCmd_` of unitree_go and unitree_hg) and of
+unitree_legged_sdk (`LowState`, `LowCmd`), or anything of their shape. Head, level, checksum and the
+release of the robot's own controller are the SDK's business. Quaternions are w, x, y, z in all of
+them.
 """
 
 from collections.abc import Iterator
@@ -23,7 +24,8 @@ _FIELDS = {
 def sensors_of(contract: Contract, state: Any, time: float, motors: Motors | None = None) -> Sensors:
     """The sensors in a `LowState` that came at `time`, s.
 
-    `motors` takes the place of those that the contract names. Raises ValueError where neither names them.
+    `motors` takes the place of those that the contract names. Raises ValueError where neither names
+    them.
     """
     motors = _motors(contract, motors)
     states, imu, *_ = _FIELDS[motors.interface]
@@ -40,7 +42,10 @@ def sensors_of(contract: Contract, state: Any, time: float, motors: Motors | Non
 
 
 def write(contract: Contract, command: Command, message: Any, motors: Motors | None = None) -> None:
-    """Fills the motors of a `LowCmd`; a motor that moves no joint stays as it is. See `sensors_of` for `motors`."""
+    """Fills the motors of a `LowCmd`; a motor that moves no joint stays as it is.
+
+    See `sensors_of` for `motors`.
+    """
     motors = _motors(contract, motors)
     *_, commands, kp, kd = _FIELDS[motors.interface]
     for motor, joint in _places(contract, motors):
