@@ -186,7 +186,7 @@ impl ObservationTerm {
 
     /// Adds errors and noise to what was written, limits and scales it.
     #[inline(always)]
-    fn treat(&self, numbers: &mut [f32], rng: &mut EnvRng) {
+    fn apply_noise_and_scale(&self, numbers: &mut [f32], rng: &mut EnvRng) {
         if self.error > 0.0 {
             for x in &mut *numbers {
                 *x *= rng.uniform([1.0 - self.error, 1.0 + self.error]);
