@@ -619,8 +619,8 @@ class Reader:
         """How a geom touches the ground: as MuJoCo mixes the two."""
         model, pair = self.model, self._pair(geom)
         if pair is not None:
-            numbers = ("dim", "friction", "margin", "gap")
-            return mixed(tuple(_plain(getattr(model, f"pair_{number}")[pair]) for number in numbers), None)
+            of_pair = ("dim", "friction", "margin", "gap")
+            return mixed(tuple(_plain(getattr(model, f"pair_{number}")[pair]) for number in of_pair), None)
         numbers = ("condim", "friction", "margin", "gap", "priority")
         sides = [
             tuple(_plain(getattr(model, f"geom_{number}")[each]) for number in numbers)
@@ -850,8 +850,12 @@ def mixed(geom: tuple[Any, ...], ground: tuple[Any, ...] | None) -> Surface:
     contact = data.contact[0]
     count = CONE_DIMS[int(contact.dim)]
     sliding, _, torsional, rolling, _ = (float(number) for number in contact.friction)
-    numbers = [number if place < count else 0.0 for place, number in enumerate((sliding, torsional, rolling))]
-    return Surface(*numbers, contact_margin=max(float(contact.includemargin), 0.0))
+    return Surface(
+        friction=sliding if count > 0 else 0.0,
+        torsional_friction=torsional if count > 1 else 0.0,
+        rolling_friction=rolling if count > 2 else 0.0,
+        contact_margin=max(float(contact.includemargin), 0.0),
+    )
 
 
 def by_surface(shapes: list[Shape]) -> list[tuple[Shape, ...]]:
