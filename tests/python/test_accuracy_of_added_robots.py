@@ -84,6 +84,25 @@ def test_it_touches_the_ground_with_the_files_shapes(added):
     np.testing.assert_allclose(twin.qpos[:7], sim.qpos[0, :7], atol=2e-3)
 
 
+def test_it_has_the_springs_and_surfaces_of_the_config(tmp_path):
+    """Feet are links of their own in polypod alone."""
+    text = fox().replace('damping="0.3"', 'damping="0.3" stiffness="7" springref="0.25"')
+    text = text.replace('mass="0.05" priority="1"/>', 'mass="0.05" priority="1" condim="6" friction="1.2 .03 .01"/>')
+    (tmp_path / "fox.xml").write_text(text)
+    config = add(str(tmp_path / "fox.xml"), tmp_path / "mine").new.path
+    loaded = robot.load(str(config))
+    assert loaded.origin is not None
+    twin = Reference.of(loaded, dt=0.002, ground=Ground(0.5))
+    joints = [twin.model.joint(name) for name in loaded.joint_names]
+    np.testing.assert_allclose([float(np.ravel(twin.model.jnt_stiffness[joint.id])[0]) for joint in joints], 7.0)
+    np.testing.assert_allclose([twin.model.qpos_spring[joint.qposadr[0]] for joint in joints], 0.25, atol=1e-9)
+    is_foot = twin.model.geom_condim == 6
+    assert is_foot.sum() == 4
+    np.testing.assert_allclose(twin.model.geom_friction[is_foot], [[0.6, 0.03, 0.01]] * 4)
+    np.testing.assert_allclose(twin.model.geom_friction[~is_foot, 0], 0.5)
+    np.testing.assert_allclose(twin.friction_factor, np.where(is_foot, 1.2, 1.0))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [('mass="0.3', 'mass="0.31', "MJCF file"), ('armature="0.03"', 'armature="0.031"', "MJCF file")],

@@ -3,10 +3,10 @@
 `polypod add` keeps the model of an MJCF file next to the robot's URDF (`polypod.add.kept`). A robot
 with such a file is compared with this model: its bodies, joints, armature, damping, dry friction
 and shapes are the file's. The compared settings are the same for all robots, see
-`polypod.accuracy.reference`: actuators and their limits, friction and stiffness of contacts, held
-joints. Features that polypod leaves out are off: springs, tendons, equality constraints, the
-medium, and shapes that the ground does not touch. All other robots are compared with MuJoCo's model
-of their URDF.
+`polypod.accuracy.reference`: actuators and their limits, friction and stiffness of contacts,
+springs, surfaces of links, held joints. Features that polypod leaves out are off: tendons, equality
+constraints, the medium, and shapes that the ground does not touch. All other robots are compared
+with MuJoCo's model of their URDF.
 """
 
 import dataclasses
@@ -34,8 +34,8 @@ class Origin:
     m."""
     joints: Mapping[int, str]
     """Names of the robot's joints by their numbers."""
-    touching: frozenset[int]
-    """Geoms that the ground can touch."""
+    touching: Mapping[int, str]
+    """Links of the geoms that the ground can touch, by their numbers."""
 
     @property
     def base(self) -> str:
@@ -46,6 +46,11 @@ class Origin:
     def anchors(self) -> dict[str, Array]:
         """Origins of the links in the frames of their bodies, by link, m."""
         return dict(self.links.values())
+
+    @staticmethod
+    def link_of_geom(name: str) -> str:
+        """The link of a geom of `spec`, by the geom's name."""
+        return name.rpartition("/")[0]
 
     def spec(self, lock: Callable[[Any, str, float], None], held: Mapping[str, float]) -> Any:
         """`mujoco.MjSpec` of the robot alone at the world's origin, its base fixed.
@@ -61,7 +66,8 @@ class Origin:
         spec.compile()
         # numbers are those of the compiled model until something is deleted
         base = next(body for body in spec.bodies if body.id == self.made.base)
-        moving, stiff, unseen = [], [], []
+        moving: list[Any] = []
+        stiff: list[Any] = []
         for body in spec.bodies:
             if body.id in self.links:
                 body.name, body.gravcomp = self.links[body.id][0], 0.0
@@ -71,6 +77,9 @@ class Origin:
                 (stiff if is_held else moving).append(joint)
                 joint.name = self.joints[joint.id]
         unseen = [geom for geom in spec.geoms if geom.id not in self.touching]
+        for geom in spec.geoms:
+            if geom.id in self.touching:
+                geom.name = f"{self.touching[geom.id]}/{geom.id}"
         others = [body for body in _tops(spec) if body.id != base.id]
         for joint in moving:
             joint.stiffness = 0.0 * np.asarray(joint.stiffness)
@@ -152,9 +161,9 @@ def read(file: Path, root: str) -> Origin:
         described=described,
         links=dict(reader.link_of),
         joints=dict(reader.names),
-        touching=frozenset(
-            geom
+        touching={
+            geom: reader.link_of_geom.get(geom, "")
             for geom in range(made.model.ngeom)
             if int(made.model.geom_bodyid[geom]) in reader.inside and reader.touches(geom, floor)
-        ),
+        },
     )

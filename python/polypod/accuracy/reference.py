@@ -203,7 +203,7 @@ class Reference:
             root.add_freejoint()
         _add_ground(mj, spec, ground, dt)
         if ground is not None:
-            _add_surfaces(spec, ground, surfaces)
+            _add_surfaces(spec, ground, surfaces, origin)
         if actuators is not None:
             _add_actuators(spec, joint_names, actuators)
         spec.option.timestep = dt
@@ -213,7 +213,13 @@ class Reference:
         """`mujoco.MjSpec` of the model."""
         self.model = spec.compile()
         self.data = mj.MjData(self.model)
-        of_geom = [surface_of(self.model.body(body).name, surfaces) for body in self.model.geom_bodyid]
+        if actuators is not None:
+            _set_springs(self.model, joint_names, actuators)
+        links = [
+            self.model.body(body).name if origin is None else origin.link_of_geom(self.model.geom(geom).name)
+            for geom, body in enumerate(self.model.geom_bodyid)
+        ]
+        of_geom = [surface_of(link, surfaces) for link in links]
         self.friction_factor = np.array([1.0 if surface is None else surface.friction for surface in of_geom])
         """[geoms], on the coefficient of sliding friction of robot and ground."""
         self.root = root.name
@@ -392,13 +398,26 @@ def surface_of(link: str, surfaces: tuple[Surface, ...]) -> Surface | None:
     return next(found, None)
 
 
-def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...]) -> None:
+def _set_springs(model: Any, joint_names: tuple[str, ...], actuators: Actuators) -> None:
+    """Sets the joints' springs in a compiled model.
+
+    Its angles are in rad, whatever those of the file are in.
+    """
+    for name, (stiffness, rest) in zip(joint_names, actuators.spring, strict=True):
+        joint, numbers = model.joint(name), model.jnt_stiffness
+        # a polynomial in some versions, whose first number is the linear one
+        numbers[(joint.id, 0) if numbers.ndim > 1 else joint.id] = stiffness
+        model.qpos_spring[joint.qposadr[0]] = rest
+
+
+def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...], origin: "Origin | None") -> None:
     """Gives geoms the surfaces of their links.
 
     Each decides alone: the ground's numbers are in its own already.
     """
     for geom in spec.geoms:
-        surface = surface_of(geom.parent.name, surfaces)
+        link = geom.parent.name if origin is None else origin.link_of_geom(geom.name)
+        surface = surface_of(link, surfaces)
         if surface is None:
             continue
         combined = dataclasses.replace(
@@ -450,9 +469,5 @@ def _add_actuators(spec: Any, joint_names: tuple[str, ...], actuators: Actuators
             _set_linear(joint, "damping", actuators.joint_damping[index])
         if not np.isnan(actuators.friction[index]):
             joint.frictionloss = actuators.friction[index]
-        stiffness, rest = actuators.spring[index]
-        if stiffness > 0.0:
-            _set_linear(joint, "stiffness", stiffness)
-            joint.springref = rest
         actuator = spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
         actuator.set_to_position(kp=actuators.stiffness[index], kv=actuators.damping[index])

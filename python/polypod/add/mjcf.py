@@ -273,6 +273,8 @@ class Reader:
         self._taken: set[str] = set()
         self._ellipsoids: dict[str, float] = {}
         self._place: dict[int, tuple[int, Array]] = {}
+        self.link_of_geom: dict[int, str] = {}
+        """Link that has the shape of a geom; after `description`."""
         self.link_of: dict[int, tuple[str, Array]] = {}
         """Link that carries what hangs on a body, and its origin in the body's frame, m; after
         `description`."""
@@ -643,14 +645,18 @@ class Reader:
         parent, name = len(links) - 1, links[-1].name
         of_body, *others = by_surface([shape for geom, shape in shapes if geom not in standing])
         links[-1] = dataclasses.replace(links[-1], shapes=of_body)
+        place = {id(shape): geom for geom, shape in shapes}
+        self.link_of_geom |= {place[id(shape)]: name for shape in of_body}
         parts = [(f"{name}_surface", own) for own in others]
         if standing:
             feet = by_surface([shape for geom, shape in shapes if geom in standing])
             parts += [(f"{name}_foot", own) for own in feet]
         for part, own in parts:
+            link = self._unique(part, "body", body)
+            self.link_of_geom |= {place[id(shape)]: link for shape in own}
             at = own[0].at if len(own) == 1 else np.zeros(3)
             own = tuple(dataclasses.replace(shape, at=shape.at - at) for shape in own)
-            links.append(Link(self._unique(part, "body", body), parent, at, np.eye(3), None, shapes=own))
+            links.append(Link(link, parent, at, np.eye(3), None, shapes=own))
 
     def _standing(self, geoms: list[int], body: int) -> set[int]:
         """Shapes of a limb's end that stand on the ground; empty where all of them do."""
