@@ -1,8 +1,8 @@
 """Robots of other packages' MJCF and URDF files move as MuJoCo's models of them.
 
 The core tier reads what gymnasium brings along, which polypod needs anyway; the extended tier reads
-every package that is installed. `measure_added_robots.py` says which packages there are and prints
-the table of docs/add-a-robot.md.
+every package that is installed. `measure_added_robots.py` says which packages there are and writes
+docs/added-robots.md.
 """
 
 import pytest
