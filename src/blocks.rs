@@ -380,7 +380,7 @@ impl<R> BlockList<R> {
         Some((&mut block.rows, env.checked_sub(block.envs.start)?))
     }
 
-    /// Where the block lies that has an env; another one, if none has it.
+    /// Index of the block with this env; another one if there is no such block.
     fn place_of(&self, env: usize) -> Option<usize> {
         let OrderedBlocks { blocks, order } = &self.blocks;
         let ends_before = |place: &usize| blocks[*place].as_ref().is_some_and(|block| block.envs.end <= env);

@@ -143,9 +143,10 @@ where
 }
 
 impl ObservationTerm {
-    /// Observes an env's numbers, or keeps those that last an episode: `write` is handed those of
-    /// its robot, in a batch of so many columns of joints. `row` holds the term's numbers as they
-    /// were observed in the step before. What a new episode remembers is its first numbers.
+    /// Observes an env's numbers, or keeps those that last an episode: `write` is handed the
+    /// numbers of its robot, in a batch of `columns` columns of joints. `row` holds the term's
+    /// numbers as they were observed in the step before. A new episode's history is filled with its
+    /// first numbers.
     ///
     /// `apply_noise_and_scale` is called from here and from no closure, so that it is compiled for
     /// the instruction set of its caller.

@@ -24,7 +24,7 @@ fn wrong(threads: usize) -> Sim {
     sim(&["observations.policy.joint_descriptors.error=0.2"], threads)
 }
 
-/// What the observations `rows` say of each env's robot.
+/// Descriptions of each env's robot in the observations `rows`.
 fn described(sim: &Sim, rows: &[f32]) -> Vec<Vec<f32>> {
     let terms = &sim.task().observations;
     let at = terms.iter().position(|term| term.name == "joint_descriptors").unwrap();
@@ -40,7 +40,7 @@ fn step(sim: &mut Sim, t: usize) {
 
 #[test]
 fn errors_last_an_episode() {
-    // what is randomised is described too: the true numbers are those without
+    // randomised bodies are described too: the true numbers are those without
     let [gains, joints, motors] = ["actuator_gains", "joint_parameters", "motor_strength"]
         .map(|what| format!("events.randomize_{what}.enabled=false"));
     let told_wrongly = "observations.policy.joint_descriptors.error=0.2";

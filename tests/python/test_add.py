@@ -138,7 +138,10 @@ def test_an_mjcf_file_becomes_a_robot_that_trains(cli, tmp_path, written, monkey
 
 
 def test_added_robots_of_three_kinds_train_in_one_batch_with_robots_of_the_library(cli, tmp_path, written, monkeypatch):
-    """A fox, gymnasium's ant and its humanoid with a quadruped, a humanoid and a hexapod of the library."""
+    """A fox, gymnasium's ant and its humanoid, with three robots of the library.
+
+    These are a quadruped, a humanoid and a hexapod.
+    """
     files = Path(gymnasium.__file__).parent / "envs/mujoco/assets"
     for file in (written(), files / "ant.xml", files / "humanoid.xml"):
         add(str(file), tmp_path / "mine", name=f"my_{file.stem}")
@@ -405,7 +408,10 @@ def test_a_polyhedron_stands_for_an_ellipsoid_within_its_bound():
 
 
 def test_limits_that_a_draft_narrows_are_no_difference(tmp_path):
-    """Of legs that the file lets turn freely; `add` would refuse a robot that differs from MuJoCo's model."""
+    """Legs that the file lets turn freely.
+
+    `add` would refuse a robot that differs from MuJoCo's model.
+    """
     file = tmp_path / "fox.xml"
     file.write_text(fox().replace('"flexion"><joint range="-1.5 2.5"/>', '"flexion"><joint range="-3.3 3.3"/>'))
     added = add(str(file), tmp_path / "mine")

@@ -52,7 +52,7 @@ def test_more_bodies_change_none(tmp_path):
 
 
 def test_light_bases_keep_a_mass(tmp_path, monkeypatch):
-    """A tenth of the robot's mass may be more than its base has: what is taken off leaves some of it."""
+    """A tenth of the robot's mass may exceed its base's: randomisation leaves some of it."""
     bodies.generate(tmp_path / "legs", 80, seed=31, kinds=["biped", "humanoid", "biped", "humanoid", "hexapod"])
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "legs"))
     polypod.make(bodies.TASK, 80)

@@ -130,7 +130,10 @@ def test_without_its_checkpoint_the_network_in_the_file_is_compared_with(deploye
 
 
 def test_a_policy_of_another_learner_is_checked(tmp_path):
-    """Of one robot alone: both its graphs have a contract, the bare network's over the observation."""
+    """A file of one robot: both its graphs have a contract.
+
+    The bare network's is over the observation.
+    """
     torch.manual_seed(0)
     env = polypod.make("Velocity-Flat-Spot-v0", 1, seed=0)
     module = torch.nn.Sequential(torch.nn.Linear(48, 32), torch.nn.ELU(), torch.nn.Linear(32, 12))

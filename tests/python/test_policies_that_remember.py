@@ -286,7 +286,10 @@ def test_the_loops_of_the_examples_feed_it_back(trained, robot_loop, cpp_loop):
 
 
 def test_the_loop_of_a_deployed_policy_remembers(trained):
-    """States and histories go from one control step to the next in the loop, as in the checkpoint's network."""
+    """The loop passes states and histories from one control step to the next.
+
+    They are those of the checkpoint's network.
+    """
     name, path, exported = trained
     found = check.check(exported / "policy_spot.onnx", check.Options(num_envs=3, steps=15))
     assert found.reference == f"the checkpoint {path}"

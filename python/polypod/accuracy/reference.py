@@ -334,7 +334,10 @@ class Reference:
 
 
 def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
-    """Holds a joint at a position: its body becomes part of its parent, and joints before it in the body turn too."""
+    """Holds a joint at a position: its body becomes part of its parent.
+
+    Joints before it in the body turn too.
+    """
     joint = spec.joint(name)
     body, axis = joint.parent, np.array(joint.axis) / np.linalg.norm(joint.axis)
     turn, moved = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
@@ -362,7 +365,10 @@ def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
 
 
 def _narrow(model: Any, joints: Sequence[int], ranges: Array) -> None:
-    """Sets position limits where they differ from the file's: a config may narrow them in `[joint_limits]`."""
+    """Sets position limits that differ from the file's.
+
+    A config may narrow them in `[joint_limits]`.
+    """
     for joint, (lower, upper) in zip(joints, ranges, strict=True):
         own = model.jnt_range[joint] if model.jnt_limited[joint] else np.array([-np.inf, np.inf])
         if np.isfinite([lower, upper]).any() and not np.allclose(own, [lower, upper], rtol=0.0, atol=SAME_LIMIT):
@@ -451,7 +457,7 @@ def _turn_z_to(normal: Array) -> Array:
 
 
 def _set_linear(joint: Any, key: str, value: float) -> None:
-    """Sets a number of a joint that is a polynomial in MuJoCo 4, whose first number is the linear one."""
+    """Sets the first, linear number of a joint quantity that is a polynomial in MuJoCo 4."""
     numbers = getattr(joint, key)
     if np.ndim(numbers):
         numbers[0] = value

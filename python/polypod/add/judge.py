@@ -205,7 +205,7 @@ class _Reference:
         self._armature = np.array(model.dof_armature)
 
     def limits(self, ours: Array, narrowed: Sequence[Sequence[float]]) -> float:
-        """Largest difference of the joints' limits from the file's, or from what the config leaves of these."""
+        """Largest difference of the joints' limits from the file's, as the config narrows them."""
         stated = [np.array(each) for lower, upper in narrowed for each in ((lower, upper), (-upper, -lower))]
         worst = 0.0
         for joint, bounds in zip(self.joints, ours, strict=True):

@@ -13,9 +13,9 @@ attachments, and the compiled model has them all resolved. These parts are taken
 - Geoms that a floor can touch become collision shapes: the file's own floor if it has one, or else
   one with `contype` and `conaffinity` 1, and what `<pair>` names together with something of the
   scene. Friction, `condim`, `priority`, `margin` and `gap` are mixed with those of the ground by
-  MuJoCo itself; shapes of one body that differ in the result become links of their own.
-- Of the end of a limb with several shapes, those that stand on the ground become a link of their
-  own, the foot.
+  MuJoCo itself; shapes of one body that differ in the result become separate links.
+- Shapes at a limb's end that stand on the ground become a separate link, the foot, where there are
+  others.
 - Actuators at one joint are added up. Gains and limits are those at the joint: both count `gear`.
 """
 
@@ -155,7 +155,10 @@ def _without_ground(mj: Any, spec: Any, notes: list[str]) -> None:
 
 
 def _with_ground(mj: Any, spec: Any, notes: list[str]) -> None:
-    """Adds the ground of a robot's file that names it in `<pair>` and leaves it to the scene that includes the file."""
+    """Adds the ground of a robot's file that names it in `<pair>` alone.
+
+    It leaves the ground to the scene that includes the file.
+    """
     there = {geom.name for geom in spec.geoms}
     pairs = [(pair.geomname1, pair.geomname2) for pair in spec.pairs]
     missing = sorted({name for pair in pairs if there & set(pair) for name in pair} - there)
@@ -632,7 +635,7 @@ class Reader:
         return mixed(sides[0], sides[1] if len(sides) > 1 else PLAIN)
 
     def _touch(self, links: list[Link], body: int, anchor: Array, floor: tuple[int, int]) -> None:
-        """Gives the body's last link its shapes, and the foot and other surfaces among them links of their own."""
+        """Gives the body's last link its shapes; foot and other surfaces get separate links."""
         model = self.model
         first = int(model.body_geomadr[body])
         geoms = [
@@ -824,13 +827,15 @@ def _file_name(name: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A number or a list of a model as Python has it, to be looked up by."""
+    """A number or a list of a model as plain Python values, to be looked up by."""
     return tuple(float(each) for each in value) if np.ndim(value) else value.item()
 
 
 @functools.cache
 def mixed(geom: tuple[Any, ...], ground: tuple[Any, ...] | None) -> Surface:
-    """How a geom touches the ground: MuJoCo mixes the two in a scene with a ball that has the geom's numbers.
+    """Contact of a geom with the ground, in a scene with a ball that has the geom's numbers.
+
+    MuJoCo mixes the two.
 
     Args:
         geom: `condim`, friction, margin, gap and priority of one side; of a `<pair>` all but the
@@ -882,7 +887,9 @@ longest half axis."""
 
 
 def ball(size: Array) -> tuple[Array, Any]:
-    """Corners and faces of a polyhedron for an ellipsoid with these half axes: it is as far within as beyond it.
+    """Corners and faces of a polyhedron for an ellipsoid with these half axes.
+
+    It is as far within the ellipsoid as beyond it.
 
     A linear map of a sphere keeps shares: the corners are those of an icosahedron and a
     dodecahedron on a sphere.

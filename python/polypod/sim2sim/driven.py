@@ -76,7 +76,7 @@ class Body(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """A policy that drives a robot, and when it has fallen, whichever model the robot is simulated on."""
+    """A policy that drives a robot, and when it has fallen, on any model of the robot."""
 
     interface: RobotInterface
     """Between policy and robot."""
@@ -89,13 +89,14 @@ class Drive:
     delays: Array
     """[envs, joints], of the targets, in physics steps."""
     network_torques: NetworkTorques | None = None
-    """Of the robot's actuator networks, one physics step of `physics_dt` after the other."""
+    """Torques of the robot's actuator networks, one physics step of `physics_dt` after the
+    other."""
     heights: Heights | None = None
-    """Of the ground; None: a plane."""
+    """Heights of the ground; None: a plane."""
     places: Array | None = None
     """[envs, 3], of the envs' origins on it, m; None: the world's origin."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
-    """m/s^2, world axes."""
+    """Gravity, m/s^2, world axes."""
     least_height: float = -np.inf
     """See `Driven.base_height`; a base that is lower has fallen, m."""
     most_tilt: float = np.pi
