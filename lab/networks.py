@@ -1,4 +1,4 @@
-"""Measures what the actors of train configs cost a learner: `python -m lab.networks [CONFIG ...]`."""
+"""Measures the cost of train configs' actors: `python -m lab.networks [CONFIG ...]`."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""`python -m lab.results`: tables and pictures out of the files that trainings and evaluations left."""
+"""`python -m lab.results`: tables and pictures from the files of trainings and evaluations."""
 
 from pathlib import Path
 

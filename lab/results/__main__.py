@@ -18,16 +18,18 @@ class Arguments:
     """Makes tables and pictures out of trainings and evaluations."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder <folder>/<group>/<run>/ with manifests, TensorBoard's events and the JSON files of eval and sim2sim. Or
-    the same folder packed by `tar -cJf results.tar.xz -C FOLDER .`"""
+    """Folder <folder>/<group>/<run>/ with manifests, TensorBoard's events and the JSON files of
+    eval and sim2sim. Or the same folder packed by `tar -cJf results.tar.xz -C FOLDER .`"""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the tables to this document, between its marks."""
     media: Annotated[Path | None, arg(metavar="DIR")] = None
     """Also draw curves per robot and maps of the evaluations into this folder."""
     score: Annotated[float, arg(metavar="M/S")] = results.DEFAULT_SCORE
-    """Velocity error (m/s) of the exploring policy; the iterations until it is reached are counted."""
+    """Velocity error (m/s) of the exploring policy; the iterations until it is reached are
+    counted."""
     baseline: Name = None
-    """Count to the error that this group ends with instead: to compare fine-tuning with training from scratch."""
+    """Count to the error that this group ends with instead: to compare fine-tuning with training
+    from scratch."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -9,8 +9,9 @@
 >>> sim = polypod.Simulation("unitree_go2", num_envs=16)
 >>> sim.step(targets=sim.default_qpos[7:], n=200)
 
-Importing polypod also registers its tasks with Gymnasium, as `polypod/<task>`. `polypod.rsl_rl` holds the adapter for
-rsl_rl; it needs the `train` extra, as do the commands that train policies or run them (`polypod --help`).
+Importing polypod also registers its tasks with Gymnasium, as `polypod/<task>`. `polypod.rsl_rl`
+holds the adapter for rsl_rl; it needs the `train` extra, as do the commands that train policies or
+run them (`polypod --help`).
 """
 
 from polypod._core import (

@@ -148,7 +148,7 @@ def _pushes(options: Options) -> Iterator["Image"]:
 
 
 def _beside_mujoco(options: Options) -> Iterator["Image"]:
-    """The same policy from the same states: in polypod in the upper half, in MuJoCo in the lower one."""
+    """Films a policy from the same states: in polypod above, in MuJoCo below."""
     width, height = options.size
     half = (width, height // 2)
     player = _player(options, options.checkpoint)

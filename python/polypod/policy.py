@@ -76,7 +76,8 @@ class LoadedPolicy:
 
     network: "MLPModel | OnnxNetwork"
     manifest: dict[str, Any]
-    """`polypod.runs.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest` describes."""
+    """`polypod.runs.manifest.Manifest`, of an ONNX file the part of it that `OnnxManifest`
+    describes."""
     file: Path
     sha256: str
     """Checksum of the file, hexadecimal."""

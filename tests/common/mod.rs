@@ -10,8 +10,8 @@ use polypod::components::{
 };
 use polypod::{Sim, SimOptions};
 
-/// A size of a test, such as a number of samples: `core` with `make test`, `extended` with `make test TIER=extended`. What is asserted is
-/// the same.
+/// A size of a test, such as a number of samples: `core` with `make test`, `extended` with `make
+/// test TIER=extended`. Both assert the same.
 pub fn size<T>(core: T, extended: T) -> T {
     match std::env::var("POLYPOD_TEST_TIER").as_deref() {
         Err(_) | Ok("" | "core") => core,

@@ -1,4 +1,4 @@
-"""Modules of the package import from lower layers, in no cycle: `[tool.importlinter]` of pyproject.toml."""
+"""Modules import from lower layers, in no cycle: `[tool.importlinter]` of pyproject.toml."""
 
 import os
 import shutil

@@ -25,7 +25,7 @@ ENVIRONMENTS = {
     "target/learners": ["--extra", "all", "--extra", "ray", "--extra", "learners", "--group", "tests"],
     "target/docs": ["--only-group", "docs"],
 }
-"""What the Makefile takes from the lock for each."""
+"""Entries of the lock that the Makefile takes for each."""
 ENTRY = re.compile(r"^([a-z0-9][\w.-]*)==(\S+?)(?: ; [^\n\\]*)? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)")
 
 
@@ -69,7 +69,7 @@ def test_the_makefile_exports_these():
 
 
 def test_the_lock_names_no_mirror():
-    """It is written on machines that have an index of their own, and read on all."""
+    """It is written on machines with another index, and read on all."""
     text = (ROOT / "uv.lock").read_text(encoding="utf-8")
     assert set(re.findall(r'registry = "([^"]+)"', text)) == {"https://pypi.org/simple"}
     urls = re.findall(r'url = "([^"]+)"', text)
@@ -116,7 +116,10 @@ def test_every_installation_checks_them():
 
 
 def test_the_base_torch_is_left_out_with_its_hashes(tmp_path):
-    """No line of a left out entry stays: a hash without its package would be one of the package above it."""
+    """No line of a left out entry stays.
+
+    A hash without its package would belong to the package above it.
+    """
     lock = exported(*ENVIRONMENTS[".venv"])
     (tmp_path / "all.txt").write_text(lock, encoding="utf-8")
     shell = f"cat {tmp_path / 'all.txt'} | {{ $(without_base_torch); }}"

@@ -1,7 +1,8 @@
 """Randomly changed files are taken or refused in order; taken ones stay finite.
 
-Robots, meshes, configs, manifests, checkpoints, graphs, dumps and snapshots: `random_files.KINDS`. Another
-`POLYPOD_TEST_SEED` draws others. A complaint names the draw; `random_files.case(kind, index, folder)` writes it again.
+Robots, meshes, configs, manifests, checkpoints, graphs, dumps and snapshots: `random_files.KINDS`.
+Another `POLYPOD_TEST_SEED` draws others. A complaint names the draw; `random_files.case(kind,
+index, folder)` writes it again.
 """
 
 import shutil

@@ -1,8 +1,8 @@
 """Command lines drawn at random end in order, and what they take steps on with finite numbers.
 
-The lists of `bad_lines` hold what somebody thought of. Here keys of resolved configs, flags, types and magnitudes are
-drawn: `POLYPOD_TEST_SEED=7 make test TIER=extended` draws others. A complaint names the draw, which
-`random_input.line(program, index)` makes again.
+The lists of `bad_lines` hold what somebody thought of. Here keys of resolved configs, flags, types
+and magnitudes are drawn: `POLYPOD_TEST_SEED=7 make test TIER=extended` draws others. A complaint
+names the draw, which `random_input.line(program, index)` makes again.
 """
 
 import random

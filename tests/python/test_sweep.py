@@ -1,4 +1,7 @@
-"""A sweep trains configs and robots with several seeds, goes on where it was interrupted, and ends in tables."""
+"""A sweep trains configs and robots with several seeds and ends in tables.
+
+It goes on where it was interrupted.
+"""
 
 import json
 import re

@@ -40,7 +40,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
         of_policy = {Path(name).name for name in names if name.startswith(f"polypod/policies/{folder}/model_")}
         assert len(of_policy) == 1
         assert f"polypod/policies/{folder}/manifest.json" in names
-    # what `polypod deploy write` copies for a robot
+    # files that `polypod deploy write` copies for a robot
     for name in ("deploy/onboard/policy_loop.py", "deploy/onboard/policy_loop.hpp", "export/contract.schema.json"):
         assert f"polypod/{name}" in names
     assert "polypod/export/motors.json" in names

@@ -1,4 +1,7 @@
-"""`pip install polypod` gives the env and the commands that run no policy; the others name the extra that they need."""
+"""`pip install polypod` gives the env and the commands that run no policy.
+
+The others name the extra that they need.
+"""
 
 import json
 import os

@@ -7,7 +7,9 @@ import numpy as np
 
 
 def rooted(urdf: str, base: str) -> str:
-    """A URDF whose root is the link `base`: fixed joints above it, of empty links, hang on it the other way round.
+    """A URDF whose root is the link `base`.
+
+    Fixed joints above it, of empty links, hang on it the other way round.
 
     MuJoCo's free joint is that of the root. A text whose root it is already stays as it is.
     """

@@ -9,11 +9,14 @@ LOGS = Path("logs")
 
 
 def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
-    """A file; where there is no such file, a bundled policy by its name or the last checkpoint of a run by its name.
+    """A file.
+
+    Where there is no such file, a bundled policy by its name or the last checkpoint of a run by its
+    name.
 
     Args:
-        given: path, name of a bundled policy, or name of a run or the end of it. None: the bundled policy for flat
-            ground.
+        given: path, name of a bundled policy, or name of a run or the end of it. None: the bundled
+            policy for flat ground.
         log_dir: where the runs are.
 
     Raises:

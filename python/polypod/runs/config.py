@@ -1,4 +1,7 @@
-"""`configs/train/*.toml`: how they are read, merged and checked. What is typed there: `polypod.runs.schema`."""
+"""`configs/train/*.toml`: how they are read, merged and checked.
+
+Their types: `polypod.runs.schema`.
+"""
 
 import contextlib
 import dataclasses

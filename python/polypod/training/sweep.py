@@ -2,8 +2,8 @@
 
 One after the other, or on a Ray cluster.
 
-<folder>/<group>/seed_<n>/ is a run with its evaluation, `eval.json`. A sweep that was interrupted goes on when it is
-begun again.
+<folder>/<group>/seed_<n>/ is a run with its evaluation, `eval.json`. A sweep that was interrupted
+goes on when it is begun again.
 """
 
 import dataclasses
@@ -283,7 +283,10 @@ def error_of(scalars: Mapping[str, float]) -> float:
 
 
 def report(sweep: Sweep, reporter: Reporter) -> None:
-    """Prints a table per group, as `polypod eval` of its checkpoints: means and intervals over the seeds."""
+    """Prints a table per group, like `polypod eval` of its checkpoints.
+
+    Figures are means and intervals over the seeds.
+    """
     groups: dict[str, list[Evaluation]] = {}
     for trial in sweep.trials:
         file = trial.run / EVALUATION
