@@ -123,10 +123,11 @@ lint: $(VENV)/.dependencies $(if $(FIX),.format) ## Check formatting, lints, typ
 	cargo fmt --all --check --manifest-path tests/loom/Cargo.toml
 	cargo fmt --check --manifest-path fuzz/Cargo.toml
 	cargo clippy --release --locked --workspace --all-targets -- -D warnings
-	$(BIN)/ruff check python lab tests/python examples
-	$(BIN)/ruff format --check python lab tests/python examples
+	$(BIN)/ruff check python lab tests/python examples tools
+	$(BIN)/ruff format --check python lab tests/python examples tools
 	$(BIN)/mypy
 	PYTHONPATH=python $(BIN)/lint-imports --no-cache
+	$(BIN)/python tools/style.py
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	$(BIN)/check-jsonschema --builtin-schema vendor.dependabot .github/dependabot.yml
 	RUSTDOCFLAGS="-D warnings" cargo doc --release --locked --workspace --no-deps
@@ -137,8 +138,8 @@ docs: $(DOCS)/.installed ## Build the documentation as a site: target/site/index
 
 .format: $(VENV)/.dependencies
 	cargo fmt --all
-	$(BIN)/ruff check --fix python lab tests/python examples
-	$(BIN)/ruff format python lab tests/python examples
+	$(BIN)/ruff check --fix python lab tests/python examples tools
+	$(BIN)/ruff format python lab tests/python examples tools
 
 # The index is named, so that the lock names PyPI's files on machines that have a mirror, too.
 lock: $(VENV)/.venv ## Pin the newest versions that pyproject.toml allows, for every platform and Python, with their hashes
