@@ -15,7 +15,7 @@ import json
 import math
 from pathlib import Path
 
-from polypod import bundled
+from polypod import runs
 from polypod.evaluation.results import finite
 from polypod.sim2sim import on_model
 from polypod.sim2sim.maker import Choices
@@ -56,7 +56,7 @@ def main() -> None:
         file, robot = entry.rsplit(":", 1)
         for policy in given.policies.split(","):
             options = on_model.Options(episodes=EPISODES, rounds=ROUNDS)
-            stage = on_model.Stage(bundled.resolve(Path(policy)), robot, options)
+            stage = on_model.Stage(runs.resolve(Path(policy)), robot, options)
             show(Path(file).stem, policy, "", stage.in_polypod(unseen, None), given.json)
             for actuators in given.actuators.split(","):
                 choices = Choices(actuators, given.contact)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from polypod import _core, bundled
+from polypod import _core, bundled, runs
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
 from polypod.export import RobotInterface, interfaces, states
@@ -255,7 +255,7 @@ def _network(
     """The network that the file is compared with, and what it is. Raises ConfigError."""
     digest = file.metadata.get("checkpoint_sha256", "")
     if checkpoint is not None:
-        policy = load(bundled.resolve(checkpoint), robots=[source])
+        policy = load(runs.resolve(checkpoint), robots=[source])
         if policy.sha256 != digest:
             raise _core.ConfigError(
                 f"{file.name} was not exported of {checkpoint}: metadata checkpoint_sha256 is another; name its "
