@@ -140,11 +140,11 @@ def test_shares_of_envs_do_not_keep_a_policy_from_other_bodies(manifest):
 def test_shares_of_a_tasks_own_do_not_either(tmp_path, monkeypatch):
     """A task may hold shares itself; then one env of each robot is still enough."""
     (tmp_path / "configs/tasks").mkdir(parents=True)
-    text = 'extends = "velocity_flat"\nname = "Shared"\nrobots = ["unitree_go1", "spot"]\n[env_shares]\nspot = 9\n'
+    text = 'extends = "velocity_flat"\nname = "Shared"\nrobots = ["spot", "unitree_go1", "anymal_c"]\n[env_shares]\nspot = 9\n'
     (tmp_path / "configs/tasks/shared.toml").write_text(text)
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
     with pytest.raises(_core.PolypodError, match="env_shares"):
-        _core.VecSim("Shared", 2)
+        _core.VecSim("Shared", 3)
     for task in ("Shared", "velocity_flat_universal"):
         changes = descriptions.for_one_env_each(["env_shares.unitree_go1=3", "sim.decimation=2"])
         sim = _core.VecSim(task, 2, robots=["unitree_go1", "spot"], overrides=changes)
