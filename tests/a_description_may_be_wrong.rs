@@ -96,12 +96,13 @@ fn errors_survive_a_snapshot_and_any_number_of_threads() {
 
 #[test]
 fn errors_are_refused_where_numbers_change() {
-    for (change, term) in [
-        ("observations.policy.joint_pos_rel.error=0.1", "joint_pos_rel"),
-        ("observations.policy.joint_descriptors={ error = 0.1, history_length = 2 }", "joint_descriptors"),
+    let [positions, descriptors] =
+        ["joint_pos_rel", "joint_descriptors"].map(|term| format!("observations.policy.{term}"));
+    for (changes, term) in [
+        (vec![format!("{positions}.error=0.1")], "joint_pos_rel"),
+        (vec![format!("{descriptors}.error=0.1"), format!("{descriptors}.history_length=2")], "joint_descriptors"),
     ] {
-        let options =
-            SimOptions { overrides: vec![change.to_owned()], ..SimOptions::new("velocity_flat_any_legged", 24) };
+        let options = SimOptions { overrides: changes, ..SimOptions::new("velocity_flat_any_legged", 24) };
         let text = Sim::new(&options).err().expect("it must be refused").to_string();
         assert!(text.contains(&format!("`{term}`")) && text.contains(".error"), "{text}");
     }

@@ -140,7 +140,8 @@ def test_shares_of_envs_do_not_keep_a_policy_from_other_bodies(manifest):
 def test_shares_of_a_tasks_own_do_not_either(tmp_path, monkeypatch):
     """A task may hold shares itself; then one env of each robot is still enough."""
     (tmp_path / "configs/tasks").mkdir(parents=True)
-    text = 'extends = "velocity_flat"\nname = "Shared"\nrobots = ["spot", "unitree_go1", "anymal_c"]\n[env_shares]\nspot = 9\n'
+    robots = 'robots = ["spot", "unitree_go1", "anymal_c"]'
+    text = f'extends = "velocity_flat"\nname = "Shared"\n{robots}\n[env_shares]\nspot = 9\n'
     (tmp_path / "configs/tasks/shared.toml").write_text(text)
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
     with pytest.raises(_core.PolypodError, match="env_shares"):
