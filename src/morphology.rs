@@ -228,8 +228,8 @@ impl MorphologyModel {
         self.topology.has_delay |= most > 0;
     }
 
-    /// Lets the ground's friction resist more than the sliding of the robot's contacts; it resists
-    /// what the robot's surfaces do, too.
+    /// Enables kinds of friction with the ground beyond sliding, in addition to those of the
+    /// robot's surfaces.
     pub(crate) fn allow_friction(&mut self, friction: ContactFriction) {
         self.topology.friction = friction.max(self.topology.friction);
     }

@@ -1,7 +1,7 @@
 """The loop of an exported policy, with polypod's physics in the robot's place.
 
-    polypod export --checkpoint flat --robots unitree_go2 --formats onnx --out exported python
-    examples/deploy/robot_loop.py exported/policy_unitree_go2.onnx --command 0.5 0 0 --seconds 5
+    polypod export --checkpoint flat --robots unitree_go2 --formats onnx --out exported
+    python examples/deploy/robot_loop.py exported/policy_unitree_go2.onnx --command 0.5 0 0
 
 The loop is the one that `polypod deploy write` copies for the robot. It knows nothing but the
 contract in the file. Put your robot's calls in the place of `SimulatedRobot`: `onboard/unitree.py`

@@ -380,20 +380,24 @@ class VecSim:
     def observation_terms(self, group: str = "policy") -> str:
         """Terms of an observation group, in order, as JSON: a list of objects.
 
-        `term`, `size`: name and number of numbers, those that the term remembers included.
-        `history_length`: control steps that it remembers, the present one included; the oldest
-        numbers come first. `kind`: scalar, vector, pseudovector, planar_velocity, per_joint,
-        per_foot, scan or body: how the numbers are mirrored. `units`, `description`: what they say.
-        `source`: what the term is computed from on a robot: measured (given as it is),
-        robot_constant (known of the robot), center_of_mass_velocity, base_angular_velocity,
-        projected_gravity, velocity_command, joint_position, joint_position_minus_default,
-        joint_velocity, last_action or height_scan. `inputs`: what a robot's sensors have to give
-        for it, as inputs of a folded graph. `magnitude`: typical magnitude of the numbers, in
-        `units`. `blocks`: for the kind body, what consecutive numbers belong to: a list of {per,
-        count}. `per` is body, length (a distance between front and hind legs), width (between left
-        and right legs), role (all numbers of the first role, then those of the next) or joint (the
-        first number of all joints, then the next number of all joints). `offset`, `clip`, `scale`:
-        what the task subtracts from the source, the limits of the result, and its factor.
+        - `term`, `size`: name and number of numbers, those that the term remembers included.
+        - `history_length`: control steps that it remembers, the present one included; the oldest
+          numbers come first.
+        - `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body:
+          how the numbers are mirrored.
+        - `units`, `description`: what they say.
+        - `source`: what the term is computed from on a robot: measured (given as it is),
+          robot_constant (known of the robot), center_of_mass_velocity, base_angular_velocity,
+          projected_gravity, velocity_command, joint_position, joint_position_minus_default,
+          joint_velocity, last_action or height_scan.
+        - `inputs`: what a robot's sensors have to give for it, as inputs of a folded graph.
+        - `magnitude`: typical magnitude of the numbers, in `units`.
+        - `blocks`: for the kind body, what consecutive numbers belong to: a list of {per, count}.
+          `per` is body, length (a distance between front and hind legs), width (between left and
+          right legs), role (all numbers of the first role, then those of the next) or joint (the
+          first number of all joints, then the next number of all joints).
+        - `offset`, `clip`, `scale`: what the task subtracts from the source, the limits of the
+          result, and its factor.
 
         Raises:
             UnknownNameError: for a group that the task does not have.
@@ -558,7 +562,7 @@ class VecSim:
 
     @property
     def observation(self) -> npt.NDArray[np.float32]:
-        """[num_envs, num_obs].
+        """Observations, [num_envs, num_obs].
 
         Two buffers alternate: this one stays as it is until the step after the next one.
         """

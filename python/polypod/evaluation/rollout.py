@@ -72,8 +72,8 @@ def evaluate(
         num_envs: number of envs; None: `ENVS_PER_ROBOT` per robot.
         episodes: full episodes per env.
         steps: control steps per episode, when a whole one is too long; an env that still stands
-            then has not fallen.
-            None: a whole one, with the commands of `walking` at most 20 s of it.
+            then has not fallen. None: a whole one, with the commands of `walking` at most 20 s
+            of it.
         seed: of the first episode; each further one takes the next.
         threads: worker threads; None: one per core.
         overrides: `key=value` pairs for the task's configuration; they come last, and may switch on
