@@ -161,6 +161,9 @@ def test_toml_is_accepted(block, tmp_path):
         loaded = config.load(str(file)).as_dict()
         for table in tables.keys() & TRAIN_TABLES:
             assert tables[table].items() <= loaded[table].items()
+    elif "surfaces" in tables:
+        file.write_text('extends = "unitree_go2"\nname = "mine"\ntitle = "mine"\n' + block.text)
+        assert _core.VecSim("velocity_flat", num_envs=2, robots=[str(file)], threads=1).num_envs == 2
     elif "joints" in tables:
         file.write_text(block.text)
         assert len(Given.read(file).joints) == len(tables["joints"])

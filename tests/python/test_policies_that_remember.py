@@ -240,51 +240,6 @@ def test_rust_plays_it(trained):
         assert found[robot]["error_vel_xy"] == pytest.approx(wanted, rel=2e-3), robot
 
 
-def test_the_loops_of_the_examples_feed_it_back(trained, robot_loop, cpp_loop):
-    """Python's and C++'s, through a reset, against the graph with its states fed back here."""
-    _, _, folder = trained
-    path = folder / "policy_spot.onnx"
-    policy, reference = robot_loop.Policy(str(path)), OnnxPolicy(path)
-    random = np.random.default_rng(0)
-    lines, wanted = [], []
-    last = np.zeros((1, 12), dtype=np.float32)
-    for step in range(8):
-        if step == 5:
-            policy.reset()
-            reference.reset()
-            last[:] = 0.0
-            lines.append("")
-        quaternion = random.standard_normal(4)
-        state = robot_loop.State(
-            joint_pos=random.standard_normal(12),
-            joint_vel=random.standard_normal(12),
-            quaternion=quaternion / np.linalg.norm(quaternion),
-            angular_velocity=random.standard_normal(3),
-            linear_velocity=random.standard_normal(3),
-        )
-        given = {
-            "base_lin_vel": state.linear_velocity,
-            "base_ang_vel": state.angular_velocity,
-            "projected_gravity": robot_loop.rotation(state.quaternion).T @ [0.0, 0.0, -1.0],
-            "velocity_commands": np.array([0.5, 0.0, 0.0]),
-            "joint_pos": state.joint_pos,
-            "joint_vel": state.joint_vel,
-        }
-        outputs = reference(last_action=last, **{key: value[np.newaxis] for key, value in given.items()})
-        last = outputs["actions"]
-        wanted.append(np.clip(outputs["joint_pos_target"][0], policy.lower, policy.upper))
-        np.testing.assert_allclose(policy.act(state, (0.5, 0.0, 0.0)), wanted[-1], atol=1e-5)
-        names = [entry.name for entry in policy.session.get_inputs() if entry.name in given]
-        lines.append(" ".join(f"{x:.9g}" for name in names for x in given[name]))
-    if cpp_loop is not None:
-        done = subprocess.run(
-            [cpp_loop, path], input="\n".join(lines) + "\n", capture_output=True, text=True, check=True, timeout=60
-        )
-        rows = [row.split() for row in done.stdout.splitlines()[2:]]
-        found = np.clip(np.array(rows, dtype=np.float64), policy.lower, policy.upper)
-        np.testing.assert_allclose(found, wanted, atol=1e-4)
-
-
 def test_the_loop_of_a_deployed_policy_remembers(trained):
     """The loop passes states and histories from one control step to the next.
 

@@ -403,11 +403,12 @@ def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small,
     assert (found["actions"] != 0.0).sum() == 2 * 18
     assert found["joint_pos_target"].shape == (2, 18)
     # the loop of the example runs it
-    deployed = robot_loop.Policy(str(exported.files[0].parent / "policy_small_hexapod.onnx"))
-    zeros = np.zeros(18)
-    state = robot_loop.State(zeros, zeros, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
-    targets = [deployed.act(state, (0.5, 0.0, 0.0)) for _ in range(2)]
-    assert (targets[0] != targets[1]).all()
+    loop = robot_loop.open_loop(exported.files[0].parent / "policy_small_hexapod.onnx")
+    robot = robot_loop.SimulatedRobot(BODIES[2], loop.contract.joint_names)
+    first = robot_loop.run(loop, robot, (0.5, 0.0, 0.0), loop.contract.control_dt)
+    assert (first.mode, first.fault) == ("walk", None)
+    next_one = loop.step(robot.read().time, robot.read(), (0.5, 0.0, 0.0))
+    assert (first.q != next_one.q).all()
 
 
 def test_mixed_precision_is_close():

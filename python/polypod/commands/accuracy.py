@@ -34,11 +34,11 @@ class Accuracy:
 
         if self.robot is not None and self.robots is not None:
             raise _core.ConfigError(f"{self.robot} and --robots: name robots in one of these places")
-        robots = names(self.robot) or names(self.robots)
-        check_names(None, robots)
         documents = [document for document in (self.out, self.readme) if document is not None]
         for document in documents:
             report.check_document(document)
+        robots = names(self.robot) or names(self.robots)
+        check_names(None, robots)
         measured = report.measure(robots, functools.partial(print, flush=True))
         command = markdown.COMMAND if robots is None else f"polypod accuracy {','.join(robots)}"
         tables, summary = markdown.tables(measured, command), markdown.summary(measured)
