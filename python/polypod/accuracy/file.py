@@ -1,14 +1,11 @@
 """A robot and MuJoCo's model of its MJCF file: the tables of what `polypod add` compares."""
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from polypod.accuracy.robot import Robot
-
-if TYPE_CHECKING:
-    from polypod.add import judge
+from polypod.add import judge
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,7 +14,7 @@ class FileResult:
 
     robot: str
     dtype: str
-    errors: "judge.Errors"
+    errors: judge.Errors
 
     def worst(self) -> float:
         """The largest of the errors."""
@@ -29,9 +26,6 @@ def compare_file(robot: Robot) -> list[FileResult]:
 
     Nothing for a robot without an MJCF file.
     """
-    # it imports this package
-    from polypod.add import judge
-
     if robot.origin is None:
         return []
     made, described = robot.origin.made, robot.origin.described
