@@ -6,7 +6,7 @@
 use serde::Deserialize;
 
 use super::motion_terms::is_moving;
-use super::{STANDING, norm};
+use super::{norm, stands};
 use crate::config::quantities::{ForceThreshold, Gain, Height, SpeedThreshold, Time, Width};
 use crate::config::values;
 use crate::dynamics::elementary::{exp, tanh_positive};
@@ -20,6 +20,9 @@ struct AirTimeThreshold {
     /// Flight time without reward or cost, s.
     #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
+    /// Whether a pure turn is rewarded too, as in mjlab; Isaac Lab rewards strides on the way alone.
+    #[serde(default)]
+    turning: bool,
 }
 
 #[derive(Deserialize)]
@@ -85,7 +88,7 @@ pub(super) fn register(registry: &mut Registry) {
 
 #[inline(always)]
 fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
-    if norm(&r.command[..2]) <= STANDING {
+    if stands(r.command, p.turning) {
         return 0.0;
     }
     let c = r.contacts;

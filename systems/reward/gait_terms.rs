@@ -5,7 +5,7 @@
 
 use serde::Deserialize;
 
-use super::{STANDING, norm};
+use super::{STANDING, norm, stands};
 use crate::config::quantities::{ForceThreshold, Time};
 use crate::config::values;
 use crate::dynamics::elementary::exp;
@@ -21,6 +21,9 @@ struct StrideTime {
     /// Longest stride that is rewarded, s.
     #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
+    /// Whether a pure turn is rewarded too, as in mjlab; Isaac Lab rewards strides on the way alone.
+    #[serde(default)]
+    turning: bool,
 }
 
 #[derive(Deserialize)]
@@ -47,7 +50,7 @@ pub(super) fn register(registry: &mut Registry) {
 fn feet_air_time_positive_biped(p: &StrideTime, r: &RobotView) -> f32 {
     let c = r.contacts;
     let standing = c.contact_time.iter().filter(|time| **time > 0.0).count();
-    if standing != 1 || norm(&r.command[..2]) <= STANDING {
+    if standing != 1 || stands(r.command, p.turning) {
         return 0.0;
     }
     let phases = c.contact_time.iter().zip(&c.air_time);

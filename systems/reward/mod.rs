@@ -82,8 +82,14 @@ fn sum_of_squares(x: &[f32]) -> f32 {
     x.iter().fold(0.0, |sum: f32, &x| x.mul_add(x, sum))
 }
 
-/// Planar speed up to which a robot is told to stand, m/s.
+/// Planar speed up to which a robot is told to stand, m/s, and yaw rate where turns count, rad/s.
 const STANDING: f32 = 0.1;
+
+/// Whether a velocity command tells a robot to stand. A pure turn does, unless `turning` counts.
+#[inline(always)]
+fn stands(command: &[f32], turning: bool) -> bool {
+    norm(&command[..2]) <= STANDING && !(turning && command[2].abs() > STANDING)
+}
 
 /// Euclidean norm.
 #[inline(always)]
