@@ -164,6 +164,11 @@ def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str
         if set(sim.canonical_joint_names) <= set(manifest["canonical_joint_names"]):
             return manifest
         sim = batch([*trained, *(robot for robot in sources if robot not in trained)])
+    return with_slots(manifest, sim)
+
+
+def with_slots(manifest: dict[str, Any], sim: _core.VecSim) -> dict[str, Any]:
+    """The manifest of a network of joints with the slots and the observation of `sim`."""
     slots = sim.canonical_joint_names
     policy = {
         **manifest["policy"],

@@ -22,6 +22,7 @@ from polypod.runs.schema import (
     LOSSES,
     MLP,
     OBSERVATION_GROUP,
+    OTHERS,
     RNN,
     RNN_TYPES,
     URMA,
@@ -228,6 +229,10 @@ def _checked(value: Any, expected: Any, where: str) -> Any:
         (item,) = get_args(expected)
         if isinstance(value, list):
             return [_checked(element, item, f"{where}[{i}]") for i, element in enumerate(value)]
+    elif get_origin(expected) is dict:
+        _, item = get_args(expected)
+        if isinstance(value, dict):
+            return {key: _checked(element, item, f"{where}.{key}") for key, element in value.items()}
     elif isinstance(expected, types.UnionType):
         for some in get_args(expected):
             with contextlib.suppress(_core.ConfigError):
@@ -427,3 +432,18 @@ def _check_extensions(config: TrainConfig, source: str) -> None:
                 f"{source}: [distillation] gradient_length = {distillation.gradient_length} must be from 1 to "
                 f"num_steps_per_env = {config.run.num_steps_per_env}"
             )
+        _check_teachers(distillation, f"{source}: [distillation]")
+
+
+def _check_teachers(distillation: DistillationConfig, where: str) -> None:
+    if (distillation.teacher is None) == (not distillation.teachers):
+        raise _core.ConfigError(
+            f"{where} needs either teacher, for bodies with the same joints, or [distillation.teachers], a checkpoint "
+            f'by robot and "{OTHERS}" for all others'
+        )
+    if not 0.0 <= distillation.teacher_share <= 1.0:
+        raise _core.ConfigError(f"{where} teacher_share = {distillation.teacher_share} must be from 0 to 1")
+    if distillation.teacher_share > 0.0 and distillation.teacher is not None:
+        raise _core.ConfigError(f"{where} teacher_share is of [distillation.teachers]; name the teacher there")
+    if not 1 <= distillation.teacher_iterations <= 2**31:
+        raise _core.ConfigError(f"{where} teacher_iterations = {distillation.teacher_iterations} must be at least 1")

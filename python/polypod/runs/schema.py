@@ -20,6 +20,8 @@ ALTERNATE = "alternate"
 LEARNERS = ("auto", "native", "rsl_rl")
 RNN_TYPES = ("lstm", "gru")
 LOSSES = ("mse", "huber")
+OTHERS = "*"
+"""Key of `[distillation.teachers]` for all robots that it does not name."""
 NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
 
 MLP = "MLPModel"
@@ -28,6 +30,7 @@ URMA = "polypod.networks:UrmaModel"
 JOINT_GAUSSIAN = "polypod.networks:JointGaussian"
 MASKED_MLP = "polypod.networks:MaskedMLPModel"
 MASKED_GAUSSIAN = "polypod.networks:MaskedGaussian"
+MANY_TEACHERS = "polypod.training.teachers:ManyTeachers"
 """Class names as rsl_rl resolves them."""
 
 
@@ -174,12 +177,24 @@ class DistillationConfig:
     `num_learning_epochs`, `learning_rate` and `max_grad_norm` of `[algorithm]` count.
     """
 
-    teacher: str
+    teacher: str | None = None
     """A model_<n>.pt next to its manifest.json, or a bundled policy: flat, rough, legged or
     quadruped."""
+    teachers: dict[str, str] | None = None
+    """In the place of `teacher`: the same by robot, `OTHERS` for all others. Teachers may have been
+    trained on other robots, slots and terms than the student sees."""
+    teacher_share: float = 0.0
+    """Share of each robot's envs in which its teacher acts in the first iteration, with
+    `teachers`."""
+    teacher_iterations: int = 100
+    """Iterations in which that share falls linearly to 0."""
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
+
+    def share_of_teachers(self, iteration: int) -> float:
+        """Share of the envs in which teachers act in an iteration, counted from 0."""
+        return self.teacher_share * max(0.0, 1.0 - iteration / self.teacher_iterations)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -222,11 +237,16 @@ class TrainConfig:
         )
 
     def with_teacher_located(self) -> "TrainConfig":
-        """The config with the absolute path of its teacher, for runs from any directory."""
-        if self.distillation is None:
+        """The config with the absolute paths of its teachers, for runs from any directory."""
+        if (of := self.distillation) is None:
             return self
-        teacher = str(real_path(runs.resolve(Path(self.distillation.teacher))))
-        return dataclasses.replace(self, distillation=dataclasses.replace(self.distillation, teacher=teacher))
+
+        def located(name: str) -> str:
+            return str(real_path(runs.resolve(Path(name))))
+
+        teacher = None if of.teacher is None else located(of.teacher)
+        teachers = None if of.teachers is None else {robot: located(name) for robot, name in of.teachers.items()}
+        return dataclasses.replace(self, distillation=dataclasses.replace(of, teacher=teacher, teachers=teachers))
 
     def with_mixed_precision_resolved(self, device_type: str) -> "TrainConfig":
         """The config with "auto" decided for this machine, so that a resumed run does the same.
@@ -342,17 +362,10 @@ class TrainConfig:
         }
 
     def _distillation_cfg(self, algorithm: dict[str, Any], sim: _core.VecSim | None) -> dict[str, Any]:
-        assert self.distillation is not None
-        if sim is not None and sim.is_padded:
-            raise _core.ConfigError(
-                f"[distillation] is for bodies with the same joints, and those of {', '.join(sim.robots)} differ; "
-                "distil for robots of one kind"
-            )
-        teacher = dict(read_manifest(Path(self.distillation.teacher).parent / "manifest.json")["policy"])
-        for key in ("num_obs", "num_actions"):
-            del teacher[key]
+        of = self.distillation
+        assert of is not None
         own = ("num_learning_epochs", "learning_rate", "max_grad_norm", "use_mixed_precision")
-        return {
+        cfg: dict[str, Any] = {
             "num_steps_per_env": self.run.num_steps_per_env,
             "save_interval": self.run.save_interval,
             "max_iterations": self.run.max_iterations,
@@ -363,13 +376,24 @@ class TrainConfig:
             "algorithm": {
                 "class_name": "Distillation",
                 **{key: algorithm[key] for key in own},
-                "gradient_length": self.distillation.gradient_length,
-                "loss_type": self.distillation.loss_type,
+                "gradient_length": of.gradient_length,
+                "loss_type": of.loss_type,
             },
-            "student": self.actor.model_cfg(sim),
-            "teacher": teacher,
             "check_for_nan": True,
         }
+        if of.teachers is not None:
+            many = {**cfg["algorithm"], "class_name": MANY_TEACHERS, "teachers": of.teachers}
+            return {**cfg, "algorithm": many, "student": _masked(self.actor, sim, self.obs_groups.actor)}
+        assert of.teacher is not None
+        if sim is not None and sim.is_padded:
+            raise _core.ConfigError(
+                f"[distillation] teacher is for bodies with the same joints, and those of {', '.join(sim.robots)} "
+                f'differ; write [distillation.teachers] with "{OTHERS}" = "{of.teacher}"'
+            )
+        teacher = dict(read_manifest(Path(of.teacher).parent / "manifest.json")["policy"])
+        for key in ("num_obs", "num_actions"):
+            del teacher[key]
+        return {**cfg, "student": self.actor.model_cfg(sim), "teacher": teacher}
 
 
 def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Sequence[str]) -> dict[str, Any]:

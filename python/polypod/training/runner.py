@@ -27,6 +27,7 @@ from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.symmetry import Mirror
+from polypod.training.teachers import ManyTeachers
 from polypod.training.transfer import critic_for, numbers_of, numbers_of_run
 from polypod.training.workers import Workers, slow_workers
 
@@ -106,7 +107,7 @@ class Runner(OnPolicyRunner):
         self.workers = workers or Workers.alone()
         check_groups(env, config.observed_groups)
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
-        self._distils = cfg["algorithm"]["class_name"] == "Distillation"
+        self._distils = config.distillation is not None
         if cfg["symmetry"]:
             mirror = Mirror(env, device)
             symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
@@ -125,6 +126,8 @@ class Runner(OnPolicyRunner):
             device=device,
         )
         self.logger.begin(sim.share[0], sim.total_num_envs)
+        if isinstance(self.alg, ManyTeachers) and self.workers.count > 1:
+            self.alg.weigh(sim, cfg["obs_groups"], self.workers)
         self._distribution = self.alg.get_policy().distribution
         self.alg.optimizer.register_step_post_hook(lambda *_: deviations.limit(self._distribution))
         self.config = config
@@ -223,6 +226,8 @@ class Runner(OnPolicyRunner):
 
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
         started, waited = time.perf_counter(), self.workers.waited
+        if isinstance(self.alg, ManyTeachers) and self.config.distillation is not None:
+            self.alg.teacher_share = self.config.distillation.share_of_teachers(iteration)
         with self.workers.names_the_lost():
             observations = self._collect(observations)
             collected = time.perf_counter()
@@ -483,6 +488,9 @@ class Runner(OnPolicyRunner):
         An actor whose weights know no slots acts for other bodies. Its critic goes on with the
         numbers that both know.
         """
+        if "critic_state_dict" not in state:
+            self.reporter.message(f"polypod: {path}: it has no critic; a new one learns from here on")
+            return False
         if not isinstance(self.alg.actor, UrmaModel):
             return True
         own, other = self.alg.critic.state_dict(), state["critic_state_dict"]

@@ -449,7 +449,7 @@ def runner_of(
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)
-    if train_config.distillation is not None:
+    if train_config.distillation is not None and train_config.distillation.teacher is not None:
         runner.learn_from(Path(train_config.distillation.teacher))
     return runner
 

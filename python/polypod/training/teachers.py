@@ -1,0 +1,409 @@
+"""Distillation of many teachers into one student, each for its robots.
+
+A teacher reads the numbers that it was trained on. They are found in the observation groups of the
+student's task by term, control step, place within the term and joint or leg, so the columns of
+teacher and student may differ.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from rsl_rl.algorithms import Distillation
+from rsl_rl.models import MLPModel
+from rsl_rl.storage import RolloutStorage
+from rsl_rl.utils import resolve_class, resolve_obs_groups
+from tensordict import TensorDict
+
+from polypod import _core
+from polypod.compat import tomllib
+from polypod.descriptions import for_one_env_each
+from polypod.networks import UrmaModel
+from polypod.networks.masked import ACTION_MASK
+from polypod.networks.policies import load_network
+from polypod.networks.urma import JointCounts, counted
+from polypod.observation import terms_of
+from polypod.policy import with_slots
+from polypod.rsl_rl import VecEnv
+from polypod.runs import run_dir
+from polypod.runs.schema import OTHERS, URMA
+from polypod.training.workers import Workers
+
+GOLDEN = 0.6180339887498949
+"""Fractions of its multiples are spread evenly, however many there are."""
+OF_TRAINING = ("term", "noise", "history_length", "error")
+"""Keys of an observation term in which a teacher's task may differ from the student's: the mapping
+takes care of terms and histories, and noise and errors are the training's."""
+
+
+class Number(NamedTuple):
+    """A number of an observation."""
+
+    term: str
+    owner: str
+    """Slot or leg that it belongs to; empty: the body."""
+    place: int
+    """Place among the numbers of the term that this owner has at one control step."""
+    age: int
+    """Control steps since it was measured."""
+
+
+class Teacher:
+    """A policy that says for the envs of some robots what it would do."""
+
+    def __init__(self, path: str, rows: torch.Tensor, source: "_Source", ratios: torch.Tensor, device: str) -> None:
+        """Loads the policy and finds its numbers.
+
+        Args:
+            path: of the checkpoint, next to its manifest.
+            rows: int64 [n], its envs.
+            source: the student's simulation.
+            ratios: [n, 1], the student's action scale over the teacher's, by env.
+            device: where it acts.
+
+        Raises:
+            ConfigError: for a task or a robot of the teacher that is not on this machine, for a
+                number that the student's groups lack, and for a robot with joints that the teacher
+                does not know.
+        """
+        checkpoint = Path(path)
+        state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
+        sim = _sim_of(path, manifest, source.slots_of(rows.tolist()))
+        if manifest["policy"]["class_name"] == URMA:
+            manifest = with_slots(manifest, sim)
+        elif lacking := [slot for slot in sim.canonical_joint_names if slot not in manifest["canonical_joint_names"]]:
+            raise _core.ConfigError(
+                f"[distillation.teachers] {path} was trained without the joints {', '.join(lacking[:6])}; name a "
+                "network of joints, or a teacher that knows these joints"
+            )
+        if manifest["policy"]["num_obs"] != sim.num_obs:
+            raise _core.ConfigError(
+                f"[distillation.teachers] {path} reads {manifest['policy']['num_obs']} numbers, and its task "
+                f"{manifest['task']} has {sim.num_obs} today; train it again"
+            )
+        self.network: MLPModel = load_network(state, manifest["policy"]).to(device)
+        self.rows = rows.to(device)
+        columns = source.columns_of(sim, rows.tolist(), path)
+        self._columns = torch.tensor(columns, device=device)
+        taken = {slot: column for column, slot in enumerate(sim.canonical_joint_names)}
+        pairs = [(taken[slot], column) for column, slot in enumerate(source.slots) if slot in taken]
+        self._given, self._wanted = (torch.tensor(of, device=device) for of in zip(*pairs, strict=True))
+        self._ratios = None if bool((ratios == 1.0).all()) else ratios.to(device)
+        acted = [number.term in source.actions for number in _numbers(sim, "policy")]
+        self._acted = torch.tensor(acted, device=device)
+        if isinstance(self.network, UrmaModel):
+            joints = source.mask[rows].sum(dim=1)
+            self.network.mlp.counts = JointCounts(len(rows), int(joints.sum()), int(joints.max()))
+
+    def write(self, observations: torch.Tensor, labels: torch.Tensor) -> None:
+        """Writes its actions into the rows of its envs in `labels` [num_envs, num_actions].
+
+        `observations` are the student's groups side by side, with a last column of zeros.
+        """
+        seen = observations.index_select(0, self.rows).index_select(1, self._columns)
+        if self._ratios is not None:
+            seen = torch.where(self._acted, seen * self._ratios, seen)
+        actions = self.network(TensorDict({"policy": seen}, batch_size=[len(seen)])).float()
+        if self._ratios is not None:
+            actions = actions / self._ratios
+        labels[self.rows.unsqueeze(1), self._wanted] = actions.index_select(1, self._given)
+
+
+class _Source:
+    """The student's simulation as teachers read it."""
+
+    def __init__(self, sim: _core.VecSim, groups: Sequence[str]) -> None:
+        self.sim, self.groups = sim, list(groups)
+        self.slots: list[str] = sim.canonical_joint_names
+        self.mask = torch.from_numpy(sim.action_mask)
+        numbers = [number for group in groups for number in _numbers(sim, group)]
+        self.width = len(numbers)
+        self._places: dict[Number, int] = {}
+        for column, number in enumerate(numbers):
+            self._places.setdefault(number, column)
+        self._treatments = {
+            term: treatment for group in reversed(self.groups) for term, treatment in _treatments(sim, group).items()
+        }
+        terms = [term for group in groups for term in terms_of(sim, group)]
+        self.actions = {term.term for term in terms if term.source == "last_action"}
+
+    def slots_of(self, rows: list[int]) -> list[str]:
+        """Slots of the robots of some envs."""
+        here = self.mask[rows].any(dim=0).tolist()
+        return [slot for slot, is_there in zip(self.slots, here, strict=True) if is_there]
+
+    def columns_of(self, sim: _core.VecSim, rows: list[int], path: str) -> list[int]:
+        """Columns of the numbers that a policy of `sim` reads for the robots of some envs.
+
+        A number of a joint or leg that these robots lack has the last column, of zeros.
+        """
+        owners = {"", *self.slots_of(rows), *self.sim.feet_names}
+        columns = []
+        for number in _numbers(sim, "policy"):
+            column = self._places.get(number)
+            if column is None and number.owner in owners:
+                past = f", {number.age} control steps before the present one" if number.age else ""
+                raise _core.ConfigError(
+                    f"[distillation.teachers] {path} reads the term {number.term}{past}, which the observation groups "
+                    f"{', '.join(self.groups)} of {self.sim.task_name} lack; add it to [[observations.teacher]], or "
+                    "name its group in [obs_groups] teacher"
+                )
+            columns.append(self.width if column is None else column)
+        for term, treatment in _treatments(sim, "policy").items():
+            if treatment != (here := self._treatments[term]):
+                raise _core.ConfigError(
+                    f"[distillation.teachers] {path} reads the term {term} with {_shown(treatment)}, and the student's "
+                    f"task gives it with {_shown(here)}; give the term of [[observations.teacher]] the same values"
+                )
+        return columns
+
+
+class Teachers(torch.nn.Module):
+    """All teachers of a simulation, as one that has an action for every env."""
+
+    def __init__(self, sim: _core.VecSim, groups: Sequence[str], paths: Mapping[str, str], device: str) -> None:
+        """Loads the teachers of the robots that have envs here.
+
+        Args:
+            sim: of the student.
+            groups: observation groups that teachers read.
+            paths: a checkpoint by robot; `OTHERS` for all that are not named.
+            device: where they act.
+
+        Raises:
+            ConfigError: as `Teacher`, and for a robot without a teacher.
+        """
+        super().__init__()
+        self._groups, self._num_actions = list(groups), sim.num_actions
+        source, infos = _Source(sim, groups), _infos(sim)
+        robots_of: dict[str, list[str]] = {}
+        for robot in sim.robots:
+            if (path := paths.get(robot, paths.get(OTHERS))) is None:
+                raise _core.ConfigError(
+                    f'[distillation.teachers] names no teacher of {robot}; add {robot} = "...", or "{OTHERS}" for all '
+                    "others"
+                )
+            robots_of.setdefault(path, []).append(robot)
+        self.teachers = []
+        for path, robots in robots_of.items():
+            blocks = {robot: range(*sim.env_ids(robot)) for robot in robots}
+            rows = torch.tensor([row for block in blocks.values() for row in block], dtype=torch.int64)
+            if not len(rows):
+                continue
+            trained = run_dir.read_manifest(Path(path)).get("robot_info", {})
+            ratios = [
+                infos[robot]["action_scale"] / trained.get(robot, infos[robot])["action_scale"]
+                for robot, block in blocks.items()
+                for _ in block
+            ]
+            scales = torch.tensor(ratios, dtype=torch.float32).unsqueeze(1)
+            self.teachers.append(Teacher(path, rows, source, scales, device))
+        self.networks = torch.nn.ModuleList(teacher.network for teacher in self.teachers)
+
+    @torch.no_grad()
+    def forward(self, obs: TensorDict) -> torch.Tensor:
+        """Actions [num_envs, num_actions] in the student's slots; 0 where a robot has no joint."""
+        groups = [obs[group] for group in self._groups]
+        observations = torch.cat([*groups, groups[0].new_zeros(len(groups[0]), 1)], dim=1)
+        labels = observations.new_zeros(len(observations), self._num_actions)
+        for teacher in self.teachers:
+            teacher.write(observations, labels)
+        return labels
+
+    def reset(self, dones: torch.Tensor | None = None, hidden_state: Any = None) -> None:
+        """Tells recurrent teachers which episodes have ended, [num_envs]."""
+        if dones is not None:
+            for teacher in self.teachers:
+                teacher.network.reset(dones.view(-1)[teacher.rows])
+
+
+class ManyTeachers(Distillation):
+    """rsl_rl's distillation with `Teachers`: robots count equally, joints that they lack not.
+
+    In a share of each robot's envs the teacher acts in the student's place: a student that falls at
+    once sees nothing of walking.
+    """
+
+    teacher: Teachers
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """As rsl_rl's."""
+        super().__init__(*args, **kwargs)
+        self.teacher_share = 0.0
+        """Share of each robot's envs in which the teacher acts."""
+        self._counts: JointCounts | None = None
+
+    @staticmethod
+    def construct_algorithm(obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str) -> "ManyTeachers":
+        """Builds the student and its teachers, as rsl_rl asks for it."""
+        _, algorithm = resolve_class(cfg["algorithm"])
+        student_class, student_cfg = resolve_class(cfg["student"])
+        groups = cfg["obs_groups"] = resolve_obs_groups(obs, cfg["obs_groups"], ["student", "teacher"])
+        sim = env.unwrapped.sim
+        student = student_class(obs, groups, "student", env.num_actions, **student_cfg).to(device)
+        teachers = Teachers(sim, groups["teacher"], algorithm.pop("teachers"), device)
+        storage = RolloutStorage(
+            "distillation", env.num_envs, cfg["num_steps_per_env"], _seen(obs, groups), [env.num_actions], device
+        )
+        made = ManyTeachers(student, teachers, storage, device=device, **algorithm, multi_gpu_cfg=cfg["multi_gpu"])
+        made.weigh(sim, groups, Workers.alone())
+        return made
+
+    def weigh(self, sim: _core.VecSim, groups: Mapping[str, list[str]], workers: Workers) -> None:
+        """Weighs errors: the mean over a robot's joints and envs, then over robots.
+
+        Args:
+            sim: of the student.
+            groups: observation groups of student and teachers.
+            workers: those that have the other envs.
+        """
+        self._student_groups = groups
+        mask = torch.from_numpy(sim.action_mask.astype(np.float32))
+        blocks = [sim.env_ids(robot) for robot in sim.robots]
+        counts = workers.sum(torch.tensor([float(stop - start) for start, stop in blocks], dtype=torch.float64))
+        weights = torch.zeros_like(mask)
+        order = torch.zeros(len(mask))
+        joints = mask.sum(dim=1, keepdim=True).clamp(min=1.0)
+        for (start, stop), count in zip(blocks, counts.tolist(), strict=True):
+            weights[start:stop] = mask[start:stop] / (joints[start:stop] * count * len(blocks))
+            order[start:stop] = (torch.arange(stop - start, dtype=torch.float64) * GOLDEN % 1.0).float()
+        # workers average their gradients
+        self._weights = (weights * workers.count).to(self.device)
+        self._order = order.unsqueeze(1).to(self.device)
+        self._counts = JointCounts(len(mask), int(mask.sum()), int(mask.sum(dim=1).max()))
+        self._robots = [(robot, block) for robot, block in zip(sim.robots, blocks, strict=True) if block[0] < block[1]]
+
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Actions of the student, or of the teacher with the student's noise."""
+        with counted([self.student], self._counts):
+            actions = self.student(obs, stochastic_output=True).detach()
+        labels = self.teacher(obs)
+        if self.teacher_share > 0.0:
+            noise = actions - self.student.output_mean.detach()
+            actions = torch.where(self._order < self.teacher_share, labels + noise, actions)
+        self.transition.actions, self.transition.privileged_actions = actions, labels
+        self.transition.observations = _seen(obs, self._student_groups)
+        return actions
+
+    def update(self) -> dict[str, float]:
+        """Learns from the stored steps; returns the mean loss, of all robots and of each."""
+        self.num_updates += 1
+        errors = torch.zeros_like(self._weights)
+        loss, count = torch.zeros((), device=self.device), 0
+        with counted([self.student], self._counts):
+            for _ in range(self.num_learning_epochs):
+                self.student.reset(hidden_state=self.last_hidden_states[0])
+                self.student.detach_hidden_state()
+                for batch in self.storage.generator():
+                    error = self._errors(batch)
+                    errors += error.detach()
+                    loss = loss + (error * self._weights).sum()
+                    count += 1
+                    if count % self.gradient_length == 0:
+                        self._learn(loss)
+                        loss = torch.zeros((), device=self.device)
+                    self.student.reset(batch.dones.view(-1))
+                    self.student.detach_hidden_state(batch.dones.view(-1))
+        self.last_hidden_states = (self.student.get_hidden_state(), None)
+        self.student.detach_hidden_state()
+        self.student.update_normalization(self.storage.observations.flatten(0, 1))
+        self.storage.clear()
+        return self._figures(errors * self._weights / count)
+
+    def _errors(self, batch: RolloutStorage.Batch) -> torch.Tensor:
+        """[num_envs, num_actions], error of each action."""
+        is_mixed = {"device_type": torch.device(self.device).type, "enabled": self.use_mixed_precision}
+        with torch.amp.autocast(**is_mixed, dtype=torch.bfloat16):
+            actions = self.student(batch.observations)
+        errors: torch.Tensor = self.loss_fn(actions.float(), batch.privileged_actions, reduction="none")
+        return errors
+
+    def _learn(self, loss: torch.Tensor) -> None:
+        self.optimizer.zero_grad()
+        loss.backward()
+        if self.is_multi_gpu:
+            self.reduce_parameters()
+        if self.max_grad_norm:
+            torch.nn.utils.clip_grad_norm_(self.student.parameters(), self.max_grad_norm)
+        self.optimizer.step()
+        self.student.detach_hidden_state()
+
+    def _figures(self, losses: torch.Tensor) -> dict[str, float]:
+        of_envs = losses.sum(dim=1)
+        sums = torch.stack([of_envs.sum(), *(of_envs[start:stop].sum() for _, (start, stop) in self._robots)]).tolist()
+        count = len(self._robots)
+        of_robots = {f"behavior/{robot}": count * own for (robot, _), own in zip(self._robots, sums[1:], strict=True)}
+        return {"behavior": sums[0], **of_robots}
+
+    def save(self) -> dict[str, Any]:
+        """The student and its optimiser; teachers stay where they are."""
+        state: dict[str, Any] = super().save()
+        del state["teacher_state_dict"]
+        return state
+
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, bool] | None, strict: bool) -> bool:
+        """Goes on with the student and its optimiser."""
+        self._raw_student.load_state_dict(loaded_dict["student_state_dict"], strict=strict)
+        self.optimizer.load_state_dict(loaded_dict["optimizer_state_dict"])
+        return True
+
+    def broadcast_parameters(self) -> None:
+        """Gives all workers the student of the first one."""
+        for tensor in self._raw_student.state_dict().values():
+            torch.distributed.broadcast(tensor, src=0)
+
+
+def _seen(obs: TensorDict, groups: Mapping[str, list[str]]) -> TensorDict:
+    """What the student sees: labels are stored, not what teachers saw."""
+    seen: TensorDict = obs.select(*groups["student"], *([ACTION_MASK] if ACTION_MASK in obs.keys() else []))  # noqa: SIM118
+    return seen
+
+
+def _sim_of(path: str, manifest: Mapping[str, Any], slots: Sequence[str]) -> _core.VecSim:
+    """A simulation of a teacher's task and robots, with more slots where it lacks some."""
+    robots = list(manifest["robot_sources"])
+    try:
+        return _core.VecSim(
+            manifest["task"],
+            len(robots),
+            robots=robots,
+            threads=1,
+            overrides=for_one_env_each(manifest["overrides"]),
+            slots=list(dict.fromkeys([*manifest["canonical_joint_names"], *slots])),
+        )
+    except _core.PolypodError as error:
+        raise _core.ConfigError(
+            f"[distillation.teachers] {path}: its task {manifest['task']} with {', '.join(robots)[:200]} cannot be "
+            f"built here: {error}"
+        ) from error
+
+
+def _numbers(sim: _core.VecSim, group: str) -> list[Number]:
+    """Numbers of an observation group, in order."""
+    numbers: list[Number] = []
+    for term in terms_of(sim, group):
+        of_kind = {"per_joint": sim.canonical_joint_names, "per_foot": sim.feet_names}.get(term.kind)
+        owners = of_kind if of_kind and term.width % len(of_kind) == 0 else [""]
+        for age in reversed(range(term.history_length)):
+            places = range(term.width // len(owners))
+            numbers += [Number(term.term, owner, place, age) for place in places for owner in owners]
+    return numbers
+
+
+def _treatments(sim: _core.VecSim, group: str) -> dict[str, dict[str, Any]]:
+    """How a task gives the terms of a group, by name, without `OF_TRAINING`."""
+    task = tomllib.loads(sim.resolved_config())["task"]
+    entries = task["observations"][group]
+    return {entry["term"]: {key: value for key, value in entry.items() if key not in OF_TRAINING} for entry in entries}
+
+
+def _infos(sim: _core.VecSim) -> dict[str, Any]:
+    infos: dict[str, Any] = json.loads(sim.robot_info())
+    return infos
+
+
+def _shown(treatment: Mapping[str, Any]) -> str:
+    return ", ".join(f"{key} = {value}" for key, value in treatment.items()) or "no treatment"

@@ -1,0 +1,217 @@
+"""A student learns from teachers of other robots, slots and terms than its own."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import polypod
+from common import SHORT
+from polypod import policy
+from polypod.evaluation import evaluate_checkpoint
+from polypod.rsl_rl import VecEnv
+from polypod.runs import run_dir
+from polypod.training import session
+from polypod.training.runner import Runner
+from polypod.training.teachers import Teachers
+
+SENSED = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "joint_vel_rel", "last_action")
+STUDENT = [*({"term": term, "history_length": 2} for term in SENSED), {"term": "joint_descriptors"}]
+TEACHER = [
+    *({"term": term, "history_length": 5} for term in SENSED if term != "velocity_commands"),
+    {"term": "joint_descriptors"},
+    {"term": "velocity_commands"},
+    {"term": "base_lin_vel"},
+]
+"""All that the teachers read, in another order."""
+TASK = "velocity_flat_any_legged"
+ROBOTS = ["unitree_go2", "phantomx", "solo12"]
+OPTIONS = {"seed": 5, "device": "cpu", "logger": "none"}
+STILL = ["observations.enable_noise=false"]
+
+
+def terms(entries) -> str:
+    """A group of terms in TOML."""
+    return "[" + ", ".join(f"{{{', '.join(f'{k}={json.dumps(v)}' for k, v in of.items())}}}" for of in entries) + "]"
+
+
+GROUPS = [f"observations.policy={terms(STUDENT)}", f"observations.teacher={terms(TEACHER)}"]
+
+
+@pytest.fixture(scope="module")
+def specialist(tmp_path_factory) -> Path:
+    """A perceptron of the hexapod, which reads the base's velocity."""
+    folder = tmp_path_factory.mktemp("specialist")
+    options = session.Options(
+        **OPTIONS,
+        log_dir=folder,
+        task="velocity_flat_legged",
+        robots=["phantomx"],
+        num_envs=8,
+        max_iterations=1,
+        train_config="specialist",
+        overrides=[*SHORT, "train.run.num_steps_per_env=8", "train.actor.hidden_dims=[16]"],
+    )
+    session.train(options)
+    return run_dir.find_checkpoint(folder, "latest")
+
+
+def paths(specialist: Path) -> dict[str, str]:
+    bundled = polypod.runs.resolve(Path("quadruped"))
+    return {"phantomx": str(specialist), "*": str(bundled)}
+
+
+def test_labels_are_what_each_teacher_does_in_its_own_task(specialist):
+    """Of a batch of three bodies, over steps that move them and past the end of episodes."""
+    env = polypod.make(TASK, 7, robots=ROBOTS, seed=3, threads=1, overrides=[*GROUPS, *STILL], autoreset="same_step")
+    vec = VecEnv(env, "cpu")
+    teachers = Teachers(env.sim, ["teacher"], paths(specialist), "cpu")
+    rng = np.random.default_rng(0)
+    own = {}
+    for robot in ROBOTS:
+        path = paths(specialist).get(robot, paths(specialist)["*"])
+        loaded = policy.load(path, robots=[robot] if robot != "phantomx" else None)
+        own[robot] = (loaded, np.zeros((0,)))
+    for step in range(12):
+        observations = vec.get_observations()
+        labels = teachers(observations).numpy()
+        assert labels.shape == (7, env.sim.num_actions)
+        assert not labels[~env.sim.action_mask].any()
+        for robot in ROBOTS:
+            start, stop = env.sim.env_ids(robot)
+            wanted = expected(own[robot][0], robot, env.sim, observations["teacher"][start:stop].numpy())
+            columns = json.loads(env.sim.robot_info())[robot]["columns"]
+            assert np.abs(labels[start:stop][:, columns] - wanted).max() <= 1e-5, (robot, step)
+            assert np.abs(wanted).max() > 0.05
+        vec.step(torch.from_numpy(rng.normal(0.0, 0.5, (7, env.sim.num_actions)).astype(np.float32)))
+
+
+def expected(loaded, robot, student, seen) -> np.ndarray:
+    """Actions of a policy's own `act` for its observation, written out term by term."""
+    slots, mine = student.canonical_joint_names, loaded.joint_names
+    blocks, start = {}, 0
+    for entry in TEACHER:
+        history = entry.get("history_length", 1)
+        size = next(size for term, size in group_sizes(student) if term == entry["term"])
+        blocks[entry["term"]] = (seen[:, start : start + size], history)
+        start += size
+    rows = []
+    for entry in loaded.manifest["observation_layout"]:
+        block, history = blocks[entry["term"]]
+        if block.shape[1] % len(slots) == 0:
+            numbers = block.reshape(len(block), -1, len(slots))
+            full = np.zeros((len(block), numbers.shape[1], len(mine)), np.float32)
+            for column, slot in enumerate(mine):
+                if slot in slots:
+                    full[:, :, column] = numbers[:, :, slots.index(slot)]
+            block = full.reshape(len(block), -1)
+        rows.append(block[:, -entry["size"] :])  # the latest control steps
+    actions = loaded.act(np.concatenate(rows, axis=1))
+    info = json.loads(student.robot_info())[robot]
+    return actions[:, [mine.index(slot) for slot in info["slots"]]]
+
+
+def group_sizes(sim):
+    return [(term["term"], term["size"]) for term in json.loads(sim.observation_terms("teacher"))]
+
+
+def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypatch, capsys):
+    losses, shares = [], []
+
+    def recorded(self, observations):
+        loss = original(self, observations)
+        losses.append(loss)
+        shares.append(self.alg.teacher_share)
+        return loss
+
+    original = Runner._update
+    monkeypatch.setattr(Runner, "_update", recorded)
+    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
+    options = session.Options(
+        **OPTIONS,
+        log_dir=tmp_path,
+        task=TASK,
+        robots=ROBOTS,
+        num_envs=12,
+        max_iterations=16,
+        train_config="any_legged",
+        overrides=[
+            *GROUPS,
+            *SHORT,
+            "train.run.num_steps_per_env=8",
+            "train.run.symmetry=false",
+            "train.algorithm.num_learning_epochs=4",
+            "train.algorithm.learning_rate=0.003",
+            "train.actor.joint_dim=32",
+            "train.actor.num_heads=8",
+            "train.actor.hidden_dims=[64]",
+            "train.critic.hidden_dims=[16]",
+            "train.actor.init_std=0.3",
+            f"train.distillation={{teachers={{{named}}}, gradient_length=1, teacher_share=1.0, teacher_iterations=5}}",
+        ],
+    )
+    assert session.train(options) == 0
+    assert losses[-1]["behavior"] < 0.2 * losses[0]["behavior"]
+    for robot in ROBOTS:
+        assert losses[-1][f"behavior/{robot}"] < 0.8 * losses[0][f"behavior/{robot}"]
+    assert np.isclose(np.mean([losses[-1][f"behavior/{robot}"] for robot in ROBOTS]), losses[-1]["behavior"])
+    assert shares[:3] == pytest.approx([1.0, 0.8, 0.6])
+    assert shares[5:] == [0.0] * 11
+    checkpoint = run_dir.find_checkpoint(tmp_path, "latest")
+    assert "teacher_state_dict" not in run_dir.load_checkpoint(checkpoint)
+    assert sorted(evaluate_checkpoint(checkpoint, num_envs=3, steps=3, threads=1).robots) == sorted(ROBOTS)
+    resumed = session.Options(resume=str(checkpoint), max_iterations=1, device="cpu", logger="none")
+    assert session.train(resumed) == 0
+    assert losses[-1]["behavior"] < 1.5 * losses[-2]["behavior"]
+    capsys.readouterr()
+    more = dataclasses.replace(options, init=checkpoint, max_iterations=1, log_dir=tmp_path / "more")
+    without = [change for change in options.overrides if "distillation" not in change]
+    assert session.train(dataclasses.replace(more, overrides=without)) == 0
+    assert "it has no critic; a new one learns" in " ".join(capsys.readouterr().out.split())
+    state = run_dir.load_checkpoint(run_dir.find_checkpoint(tmp_path / "more", "latest"))
+    learnt = run_dir.load_checkpoint(checkpoint)["actor_state_dict"]
+    assert torch.allclose(state["actor_state_dict"]["mlp.code.weight"], learnt["mlp.code.weight"], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (["train.distillation={teachers={phantomx=PHANTOMX}}"], "names no teacher of (solo12|unitree_go2)"),
+        (["train.distillation={teachers={'*'=PHANTOMX}}"], "was trained without the joints .*HAA"),
+        (["train.distillation={teacher=PHANTOMX, teachers={'*'=PHANTOMX}}"], "needs either teacher"),
+        (["train.distillation={loss_type='mse'}"], "needs either teacher"),
+        (["train.distillation={teacher=PHANTOMX, teacher_share=0.5}"], "teacher_share is of"),
+        (["train.distillation={teachers={'*'='quadruped'}, teacher_share=1.5}"], "must be from 0 to 1"),
+        (["train.distillation={teachers={'*'=3}}"], r"teachers.* must be of type"),
+        (["train.distillation={teacher='quadruped'}"], "for bodies with the same joints.*distillation.teachers"),
+        (
+            ["train.distillation={teachers={'*'='quadruped'}}", f"observations.teacher={terms(STUDENT)}"],
+            "reads the term base_ang_vel, 4 control steps before the present one, which the observation groups teacher",
+        ),
+        (
+            [
+                "train.distillation={teachers={'*'='quadruped'}}",
+                f"observations.teacher={terms([*TEACHER[:2], {**TEACHER[2], 'scale': 0.5}, *TEACHER[3:]])}",
+            ],
+            "reads the term joint_pos_rel with scale = 1.0, and the student's task gives it with scale = 0.5",
+        ),
+    ],
+)
+def test_mistakes_are_named(changes, said, specialist, tmp_path):
+    changes = [change.replace("PHANTOMX", json.dumps(str(specialist))) for change in changes]
+    options = session.Options(
+        **OPTIONS,
+        log_dir=tmp_path,
+        task=TASK,
+        robots=ROBOTS,
+        num_envs=3,
+        max_iterations=1,
+        train_config="any_legged",
+        overrides=[*GROUPS, "train.run.symmetry=false", *changes],
+    )
+    with pytest.raises(polypod.ConfigError, match=said):
+        session.train(options)
+    assert not list(tmp_path.glob("rsl_rl/*/*"))
