@@ -113,7 +113,7 @@ fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     fill(&mut learner);
     let (mut rate, mut episodes) = (1e-3, 0);
     for iteration in 0..ITERATIONS {
-        episodes += sim.collect(&mut learner, iteration).unwrap().len();
+        episodes += sim.collect(&mut learner, iteration, None).unwrap().len();
         rate = sim.learn(&mut learner, rate).unwrap().learning_rate;
     }
     assert!(episodes >= least_episodes, "resets must have been part of it");
@@ -160,7 +160,7 @@ fn first_means(others: &[&str]) -> Vec<u32> {
     let (slots, width) = (sim.batch().num_actions, sim.batch().num_obs);
     let mut learner = sim.learner(learner_options).unwrap();
     fill(&mut learner);
-    sim.collect(&mut learner, 0).unwrap();
+    sim.collect(&mut learner, 0, None).unwrap();
     let samples = learner.num_own_samples();
     let zeros = |numbers: usize| vec![0.0; samples * numbers];
     let (mut observations, mut actions, mut means) = (zeros(width), zeros(slots), zeros(slots));

@@ -149,7 +149,9 @@ class Learner:
                 share.
         """
 
-    def collect(self, sim: VecSim, iteration: int) -> list[tuple[int, int, float, float]]:
+    def collect(
+        self, sim: VecSim, iteration: int, clip_actions: float | None = None
+    ) -> list[tuple[int, int, float, float]]:
         """Simulates an iteration's steps with the policy and noise, and estimates the advantages.
 
         The interpreter's lock is free meanwhile.
@@ -157,13 +159,16 @@ class Learner:
         Args:
             sim: the simulation that the learner was made for.
             iteration: its number, which the noise depends on.
+            clip_actions: greatest magnitude of the actions that the robots act with; the samples
+                hold the actions as they were drawn. None: no limit.
 
         Returns:
             Step of the iteration, number of the env among those of all workers, return, and length
                 in control steps of each episode that ended, by steps and envs.
 
         Raises:
-            ConfigError: for another simulation, and for actions that a diverged policy gives.
+            ConfigError: for another simulation, for a limit that is not above 0, and for actions
+                that a diverged policy gives.
         """
 
     def set_goals(self, entropy_coef: float, desired_kl: float | None) -> None:

@@ -35,13 +35,19 @@ class VecEnv(rsl_rl.env.VecEnv):
     """
 
     def __init__(
-        self, env: VectorEnv | CustomTerms, device: str | torch.device = "cpu", log_extras: bool = True
+        self,
+        env: VectorEnv | CustomTerms,
+        device: str | torch.device = "cpu",
+        log_extras: bool = True,
+        clip_actions: float | None = None,
     ) -> None:
         """Wraps `env`.
 
         Args:
             env: with same-step autoreset, as in `polypod.terms.CustomTerms`.
             device: where the learner lives.
+            clip_actions: greatest magnitude of the actions that the robots act with, as of rsl_rl's
+                runners; None: no limit.
             log_extras: put the simulator's log into `extras["log"]` at each step that ends an
                 episode. A learner which reads `unwrapped.sim.log()` by itself switches it off.
 
@@ -59,6 +65,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         self._sim = env.sim
         self._source: VecSim | CustomTerms = env if isinstance(env, CustomTerms) else env.sim
         self._log_extras = log_extras
+        self._clip_actions = clip_actions
         self.num_envs = env.num_envs
         self.num_actions = self._sim.num_actions
         self.max_episode_length = self._sim.max_episode_length
@@ -150,8 +157,8 @@ class VecEnv(rsl_rl.env.VecEnv):
             Rewards, float32; whether each episode ended; whether it was truncated and did not
             terminate. Each is [num_envs]; the rewards are a view that the next step overwrites.
         """
-        sim = self._source
-        sim.step(actions.numpy())
+        sim, limit = self._source, self._clip_actions
+        sim.step((actions if limit is None else actions.clamp(-limit, limit)).numpy())
         return sim.reward, sim.terminated | sim.truncated, sim.truncated & ~sim.terminated
 
     def observe_into(self, buffers: Mapping[str, torch.Tensor]) -> None:

@@ -119,15 +119,31 @@ impl Sim {
     /// Collects the samples of an iteration with the learner's policy; returns the episodes that
     /// ended, by steps and envs.
     ///
+    /// The robots act with the policy's actions within `clip_actions` of 0; the samples hold them
+    /// as they were drawn.
+    ///
     /// # Errors
-    /// A learner of another simulation, a step that fails, or another worker that is gone.
-    pub fn collect(&mut self, learner: &mut Learner, iteration: u64) -> Result<Vec<Episode>, Error> {
+    /// A learner of another simulation, a limit that is not above 0, a step that fails, or another
+    /// worker that is gone.
+    pub fn collect(
+        &mut self,
+        learner: &mut Learner,
+        iteration: u64,
+        clip_actions: Option<f32>,
+    ) -> Result<Vec<Episode>, Error> {
         self.check_learner(learner)?;
+        let limit = clip_actions.unwrap_or(f32::INFINITY);
+        if limit.is_nan() || limit <= 0.0 {
+            return Err(Error::argument("clip_actions", format!("it is {limit}"), "set a number above 0"));
+        }
         let mut actions = vec![0.0; self.batch().actions.len()];
         let mut episodes = Vec::new();
         learner.begin(iteration);
         for _ in 0..learner.settings().options.num_steps_per_env {
             learner.act(self.world().resource::<Workers>(), &self.batch().observations, &mut actions);
+            if clip_actions.is_some() {
+                actions.iter_mut().for_each(|action| *action = action.clamp(-limit, limit));
+            }
             self.step(&actions)?;
             let batch = self.batch();
             learner.record(&batch.rewards, &batch.terminated, &batch.truncated, &mut episodes);

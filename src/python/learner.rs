@@ -104,15 +104,17 @@ impl Learner {
     }
 
     #[doc = docstring!("Learner.collect")]
+    #[pyo3(signature = (sim, iteration, clip_actions=None))]
     fn collect(
         &mut self,
         py: Python<'_>,
         sim: &mut VecSim,
         #[pyo3(from_py_with = whole)] iteration: i128,
+        clip_actions: Option<f32>,
     ) -> PyResult<Vec<(usize, usize, f32, f32)>> {
         let iteration = unsigned(py, "iteration", iteration)?;
         let learner = &mut self.learner;
-        let episodes = sim.run(py, |sim| learner.try_run(|learner| sim.collect(learner, iteration)))?;
+        let episodes = sim.run(py, |sim| learner.try_run(|learner| sim.collect(learner, iteration, clip_actions)))?;
         let mut episodes = episodes.map_err(|error| self.exception(py, error))?;
         episodes.sort_by_key(|episode| (episode.step, episode.env));
         Ok(episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect())

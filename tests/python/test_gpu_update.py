@@ -198,3 +198,30 @@ if __name__ == "__main__":
     for variant in SHARED:
         torch.save(learn(variant, Path(folder), workers, device), Path(folder) / f"{variant}_{workers.index}.pt")
     workers.close()
+
+
+@pytest.mark.parametrize("device", ["cpu", CUDA])
+def test_the_critic_learns_alone(device, tmp_path):
+    """The policy that acts stays too, and what graphs read stays where it is."""
+    other = runner(GpuRunner, "universal", tmp_path, device)
+    other._collect(other.env.get_observations())
+    other.alg.desired_kl = other.config.algorithm.desired_kl
+    other._update(other.env.get_observations())
+    rate = other.alg.learning_rate
+    networks = (other.alg.actor, other.alg.critic)
+    before = [[parameter.detach().clone() for parameter in network.parameters()] for network in networks]
+    acting = [array.copy() for array in other._learner.network("actor")[0]]
+    moments = [state["exp_avg"].clone() for _, state in other._actor_parameters()]
+    places = [parameter.data_ptr() for parameter in networks[0].parameters()]
+    other.current_learning_iteration = 1
+    other._collect(other.env.get_observations())
+    other._update_critic(other.env.get_observations())
+    assert all(torch.equal(a, b) for a, b in zip(networks[0].parameters(), before[0], strict=True))
+    assert not any(torch.equal(a, b) for a, b in zip(networks[1].parameters(), before[1], strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(other._learner.network("actor")[0], acting, strict=True))
+    assert all(torch.equal(s["exp_avg"], m) for (_, s), m in zip(other._actor_parameters(), moments, strict=True))
+    assert [parameter.data_ptr() for parameter in networks[0].parameters()] == places
+    assert other.alg.learning_rate == pytest.approx(rate)
+    other.alg.desired_kl = other.config.algorithm.desired_kl
+    other._update(other.env.get_observations())
+    assert not any(torch.equal(a, b) for a, b in zip(networks[0].parameters(), before[0], strict=True))

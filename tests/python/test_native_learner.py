@@ -150,3 +150,25 @@ def test_options_and_states_that_do_not_fit_are_refused(make):
     with pytest.raises(polypod.ConfigError, match="learner"):
         learner.collect(make(num_envs=32).sim, 0)
     assert torch.equal(torch.from_numpy(weights[0]), torch.zeros(12))
+
+
+@pytest.mark.parametrize("learner", ["native", "rsl_rl"])
+def test_the_critic_learns_alone_at_first(learner, tmp_path):
+    """Two iterations leave the actor as it was; then both learn, from an optimiser that is new."""
+    begin = train(tmp_path / "begin", learner, max_iterations=2, **TINY)
+    changes = [*TINY["overrides"], "train.algorithm.critic_warmup_iterations=2", "train.algorithm.learning_rate=2e-3"]
+    options = {**TINY, "overrides": changes, "init": begin}
+    warm = run_dir.load_checkpoint(train(tmp_path / "warm", learner, max_iterations=2, **options))
+    before = run_dir.load_checkpoint(begin)
+    for name, weights in before["actor_state_dict"].items():
+        assert torch.equal(weights, warm["actor_state_dict"][name]) or "normalizer" in name, name
+    assert not torch.equal(before["critic_state_dict"]["mlp.0.weight"], warm["critic_state_dict"]["mlp.0.weight"])
+    groups = warm["optimizer_state_dict"]["param_groups"]
+    assert groups[0]["lr"] == 2e-3, "the actor's divergence changes no rate meanwhile"
+    moments = warm["optimizer_state_dict"]["state"]
+    number = len([name for name in before["actor_state_dict"] if "normalizer" not in name])
+    of_actor = [moments[index] for index in range(number) if index in moments]
+    assert not any(state["exp_avg"].any() or state["step"] for state in of_actor)
+    assert moments[max(moments)]["step"] > 0
+    resumed = run_dir.load_checkpoint(train(tmp_path / "warm", learner, max_iterations=1, resume="latest"))
+    assert not torch.equal(before["actor_state_dict"]["mlp.0.weight"], resumed["actor_state_dict"]["mlp.0.weight"])

@@ -22,6 +22,7 @@ from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.export.states import HISTORY, Shape
 from polypod.extras import package
 from polypod.networks import JointNetwork
+from polypod.networks.clipped import limit_of
 from polypod.networks.onnx_network import OnnxNetwork, output_of
 from polypod.networks.urma import KEY_SCALE, LOG_FLOOR, OUTSIDE, REFLEX_SCALE, RELATIVE_FLOOR
 from polypod.observation import Term, Treatment
@@ -289,6 +290,8 @@ def _add_network(graph: Graph, network: MLPModel | OnnxNetwork, source: str, tar
     if isinstance(network, OnnxNetwork):
         graph.inline(network, source, target)
         return
+    if (limit := limit_of(network)) is not None:
+        end, target = target, f"{target}_unclipped"
     value = source
     if isinstance(network.obs_normalizer, EmpiricalNormalization):
         normalizer = network.obs_normalizer
@@ -301,6 +304,10 @@ def _add_network(graph: Graph, network: MLPModel | OnnxNetwork, source: str, tar
         _add_joint_network(graph, network.mlp, value, target)
     else:
         _add_layers(graph, list(network.mlp), value, target, "layer")
+    if limit is not None:
+        sides = (("low", -limit), ("high", limit))
+        low, high = (graph.constant(f"action_{name}", np.array(side, np.float32)) for name, side in sides)
+        graph.node("Clip", target, low, high, output=end)
 
 
 def _add_layers(graph: Graph, layers: Sequence[torch.nn.Module], source: str, target: str, name: str) -> None:

@@ -256,6 +256,8 @@ def _named(expected: Any) -> str:
 
 CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.")
 """Prefixes of keys in `[run] task_changes`: a policy of the changed task is one of the task."""
+MAX_ACTION = 1e6
+"""Largest limit of actions."""
 MAX_RNN = 4096
 """Width of a recurrent layer."""
 MAX_RNN_LAYERS = 8
@@ -281,6 +283,7 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("algorithm", "lam", 0.0, 1.0),
     ("algorithm", "value_loss_coef", 0.0, 1e6),
     ("algorithm", "entropy_coef", 0.0, 1e3),
+    ("algorithm", "critic_warmup_iterations", 0, 2**31),
     ("anneal", "start", 0.0, 1.0),
     ("anneal", "entropy_coef", 0.0, 1e3),
 )
@@ -306,6 +309,11 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be at least {least:g}")
         if not value <= most:
             raise _core.ConfigError(f"{source}: [{section}] {key} = {value} must be at most {most:g}")
+    if run.clip_actions is not None and not 0.0 < run.clip_actions <= MAX_ACTION:
+        raise _core.ConfigError(
+            f"{source}: [run] clip_actions = {run.clip_actions} must be above 0 and at most {MAX_ACTION:g}; leave it "
+            "out for actions without limits"
+        )
     if run.num_envs * run.num_steps_per_env > MAX_SAMPLES:
         raise _core.ConfigError(
             f"{source}: {run.num_envs} envs x {run.num_steps_per_env} steps are more than {MAX_SAMPLES:,} samples an "
@@ -433,6 +441,11 @@ def _check_extensions(config: TrainConfig, source: str) -> None:
                 f"num_steps_per_env = {config.run.num_steps_per_env}"
             )
         _check_teachers(distillation, f"{source}: [distillation]")
+        if config.algorithm.critic_warmup_iterations:
+            raise _core.ConfigError(
+                f"{source}: [algorithm] critic_warmup_iterations and [distillation] exclude each other: a distillation "
+                "has no critic; set it to 0"
+            )
 
 
 def _check_teachers(distillation: DistillationConfig, where: str) -> None:

@@ -84,6 +84,8 @@ class PolicyManifest(TypedDict):
     observation_layout: NotRequired[list[TermManifest | tuple[Name, Size]]]
     """Manifests of earlier versions hold names and sizes alone."""
     joint_names: NotRequired[list[Name]]
+    clip_actions: NotRequired[Annotated[float, Meta(gt=0.0, le=1e6)]]
+    """Greatest magnitude of the actions, which the network clips."""
 
 
 class BodyManifest(TypedDict):

@@ -388,7 +388,7 @@ def manifest_of(
         "config_hash": sim.config_hash(),
         "canonical_joint_names": sim.canonical_joint_names,
         "observation_layout": [{"term": term, "size": size} for term, size in sim.observation_layout],
-        "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.actor.model_cfg(sim)},
+        "policy": {"num_obs": sim.num_obs, "num_actions": sim.num_actions, **config.policy_cfg(sim)},
         "robots": sim.robots,
         "robot_info": infos,
         "joint_maps": {robot: _joint_map(infos[robot]) for robot in sim.robots},

@@ -50,6 +50,9 @@ class RunConfig:
     """Learner: native, rsl_rl, or auto. Runs of manifests without this key are rsl_rl's."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
     """Task overrides used only during training, as `key=value` of `--set`."""
+    clip_actions: float | None = None
+    """Greatest magnitude of the actions that robots act with, and see as `last_action`; None: no
+    limit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,6 +73,9 @@ class AlgorithmConfig:
     max_grad_norm: float
     normalize_advantage_per_mini_batch: bool
     mixed_precision: str
+    critic_warmup_iterations: int = 0
+    """First iterations, in which the critic learns alone: weights and deviations of the actor stay
+    as they begin, with `--init` those of a policy that walks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,6 +230,14 @@ class TrainConfig:
         of_rnd = {} if self.rnd is None else {"rnd_state": [*groups.rnd_state]}
         return {"actor": [*groups.actor], "critic": [*groups.critic], **of_rnd}
 
+    def policy_cfg(self, sim: _core.VecSim) -> dict[str, Any]:
+        """The actor's constructor arguments for a manifest, with the limit of its actions.
+
+        Arguments and errors are those of `CriticConfig.model_cfg`.
+        """
+        limit = self.run.clip_actions
+        return {**self.actor.model_cfg(sim), **({} if limit is None else {"clip_actions": limit})}
+
     def goals(self, iteration: int) -> Goals:
         """Goals of PPO in an iteration, counted from 0."""
         begin = Goals(self.algorithm.entropy_coef, self.algorithm.desired_kl)
@@ -322,7 +336,7 @@ class TrainConfig:
             ConfigError: for a network of joints without `sim`.
         """
         run, algorithm = self.run, dataclasses.asdict(self.algorithm)
-        for key in ("learning_rate", "mixed_precision"):
+        for key in ("learning_rate", "mixed_precision", "critic_warmup_iterations"):
             del algorithm[key]
         if algorithm.pop("schedule") == "fixed":
             algorithm["desired_kl"] = None
@@ -343,6 +357,7 @@ class TrainConfig:
         """
         algorithm = dataclasses.asdict(self.algorithm)
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
+        del algorithm["critic_warmup_iterations"]
         if self.distillation is not None:
             return self._distillation_cfg(algorithm, sim)
         if self.rnd is not None:
@@ -391,8 +406,8 @@ class TrainConfig:
                 f'differ; write [distillation.teachers] with "{OTHERS}" = "{of.teacher}"'
             )
         teacher = dict(read_manifest(Path(of.teacher).parent / "manifest.json")["policy"])
-        for key in ("num_obs", "num_actions"):
-            del teacher[key]
+        for key in ("num_obs", "num_actions", "clip_actions"):
+            teacher.pop(key, None)
         return {**cfg, "student": self.actor.model_cfg(sim), "teacher": teacher}
 
 

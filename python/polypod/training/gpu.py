@@ -1,5 +1,7 @@
 """Training with the native learner's rollouts on the CPU, and its update on a GPU."""
 
+from typing import Any
+
 import numpy as np
 import torch
 from tensordict import TensorDict
@@ -8,6 +10,7 @@ from polypod import _core
 from polypod.runs.schema import OBSERVATION_GROUP
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
+from polypod.training.runner import Runner
 from polypod.training.symmetry import Mirror
 
 
@@ -55,6 +58,16 @@ class GpuRunner(NativeRunner):
         self.alg.learning_rate = loss.pop("learning_rate")
         self._give_policy()
         return loss
+
+    def _actor_state(self) -> Any:
+        return Runner._actor_state(self)
+
+    def _restore_actor(self, state: Any) -> None:
+        Runner._restore_actor(self, state)
+        self._give_policy()
+
+    def _optimizer(self) -> torch.optim.Optimizer:
+        return self._update_of.optimizer
 
     def _give(self) -> None:
         """Hands networks and statistics to the native learner, and Adam's moments to the update."""

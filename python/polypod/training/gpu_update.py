@@ -4,6 +4,7 @@ A mini-batch of small networks is a few hundred kernels of a few microseconds ea
 one they take several times as long as they compute.
 """
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -135,13 +136,13 @@ class Update:
         # NCCL's own thread goes on while a graph is captured
         self._graphs = Graphs(device, self._changed, "global" if workers.count == 1 else "thread_local")
 
-    def run(self, learning_rate: float, entropy_coef: float, desired_kl: float) -> dict[str, float]:
+    def run(self, learning_rate: float, entropy_coef: float, desired_kl: float | None) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
 
         Args:
             learning_rate: to begin with.
             entropy_coef: weight of the entropy.
-            desired_kl: divergence that an adaptive learning rate follows.
+            desired_kl: divergence that an adaptive learning rate follows; None: it stays.
 
         Returns:
             The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on
@@ -155,7 +156,8 @@ class Update:
             self._sizes = list(zip(*workers.gather_messages(samples.batch_sizes), strict=True))
         self._rate.fill_(learning_rate)
         self._entropy_coef.fill_(entropy_coef)
-        self._desired_kl.fill_(desired_kl)
+        # a graph compares with the number as it is then, and nothing is more or less than no number
+        self._desired_kl.fill_(math.nan if desired_kl is None else desired_kl)
         self._losses.zero_()
         with torch.no_grad():
             if (learnt := deviations.of(self._alg.actor.distribution)) is not None:

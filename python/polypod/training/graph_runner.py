@@ -50,6 +50,9 @@ class GraphRunner(Runner):
         self.alg.learning_rate = loss.pop("learning_rate")
         return loss
 
+    def _optimizer(self) -> torch.optim.Optimizer:
+        return self._update_of.optimizer
+
     def _action_std(self) -> torch.Tensor:
         is_learnt = deviations.of(self._distribution) is not None
         return super()._action_std() if is_learnt else self._rollout.deviations_of_actions()

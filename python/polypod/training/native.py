@@ -39,7 +39,7 @@ class NativeRunner(Runner):
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
-        self.logger.ended = self._learner.collect(sim, self.current_learning_iteration)
+        self.logger.ended = self._learner.collect(sim, self.current_learning_iteration, self.config.run.clip_actions)
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
@@ -47,6 +47,12 @@ class NativeRunner(Runner):
         loss = self._learner.update(self.env.unwrapped.sim, self.alg.learning_rate)
         self.alg.learning_rate = loss.pop("learning_rate")
         return loss
+
+    def _actor_state(self) -> Any:
+        return self._learner.network("actor")
+
+    def _restore_actor(self, state: Any) -> None:
+        self._learner.set_network("actor", *state)
 
     def _action_std(self) -> torch.Tensor:
         return torch.from_numpy(self._learner.action_std())

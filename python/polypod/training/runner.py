@@ -18,6 +18,7 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.networks import UrmaModel
+from polypod.networks.clipped import clip_actions
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.runs.schema import TrainConfig
@@ -232,7 +233,8 @@ class Runner(OnPolicyRunner):
             observations = self._collect(observations)
             collected = time.perf_counter()
             self.alg.entropy_coef, self.alg.desired_kl = self.config.goals(iteration)
-            loss = self._update(observations)
+            is_warming_up = iteration < self.config.algorithm.critic_warmup_iterations
+            loss = (self._update_critic if is_warming_up else self._update)(observations)
         learned = time.perf_counter()
         self.current_learning_iteration = iteration + 1
 
@@ -307,6 +309,40 @@ class Runner(OnPolicyRunner):
                 normalize_per_robot(self.alg.storage.advantages, self.blocks, self.workers)
         loss: dict[str, float] = self.alg.update()
         return loss
+
+    def _update_critic(self, observations: TensorDict) -> dict[str, float]:
+        """Learns from the steps, and puts the actor back to where it was.
+
+        The learning rate stays: the actor's divergence says nothing of the critic.
+        """
+        self.alg.desired_kl = None
+        state = self._actor_state()
+        loss = self._update(observations)
+        self._restore_actor(state)
+        return loss
+
+    def _actor_state(self) -> Any:
+        """Weights of the actor, and the optimiser's state of each; a copy."""
+        return [
+            (parameter.detach().clone(), {key: value.clone() for key, value in state.items()})
+            for parameter, state in self._actor_parameters()
+        ]
+
+    @torch.no_grad()
+    def _restore_actor(self, state: Any) -> None:
+        """The reverse of `_actor_state`, in place."""
+        for (parameter, now), (weights, before) in zip(self._actor_parameters(), state, strict=True):
+            parameter.copy_(weights)
+            for key, value in now.items():
+                value.copy_(before[key]) if key in before else value.zero_()
+
+    def _actor_parameters(self) -> list[tuple[torch.nn.Parameter, dict[str, torch.Tensor]]]:
+        """The actor's parameters, each with its state in the optimiser that moves it."""
+        optimizer = self._optimizer()
+        return [(parameter, optimizer.state.get(parameter, {})) for parameter in self.alg.actor.parameters()]
+
+    def _optimizer(self) -> torch.optim.Optimizer:
+        return self.alg.optimizer
 
     def _action_std(self) -> torch.Tensor:
         """Deviations of the actions, [n]: of those that the robots have."""
@@ -519,6 +555,9 @@ class Runner(OnPolicyRunner):
         Raises ConfigError where it does not fit.
         """
         state = run_dir.load_checkpoint(teacher, self.device)
+        limit = run_dir.read_manifest(teacher)["policy"].get("clip_actions")
+        if limit is not None:
+            clip_actions(self.alg.teacher, limit)
         try:
             self.alg.load(state, {"teacher": True}, True)
         except (AttributeError, RuntimeError, KeyError, TypeError, ValueError) as error:

@@ -205,7 +205,8 @@ def train_with(
     with run_dir.locked(run) if workers.is_first else contextlib.nullcontext():
         with _kept_if_begun(run, plan.checkpoint is None and workers.is_first):
             env.sim.set_dump_dir(run if run.is_dir() else None)
-            runner = runner_of(VecEnv(env, device, log_extras=False), plan.config, run, device, reporter, workers)
+            vec_env = VecEnv(env, device, log_extras=False, clip_actions=run_config.clip_actions)
+            runner = runner_of(vec_env, plan.config, run, device, reporter, workers)
             runner.watch, runner.goal = watch, goal
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
