@@ -253,3 +253,19 @@ def test_who_learns(tmp_path):
         made = runner(Runner, "joints", tmp_path)
         settings = train_config("joints", symmetry=symmetry)
         assert type(session.runner_of(made.env, settings, tmp_path, "cpu", Reporter(quiet=True))) is kind
+
+
+def test_the_critic_learns_alone(tmp_path):
+    """What graphs read stays where it is, and the actor's moments begin with its first step."""
+    made = runner(GraphRunner, "plain_rewards", tmp_path)
+    before = [parameter.detach().clone() for parameter in made.alg.actor.parameters()]
+    critic = [parameter.detach().clone() for parameter in made.alg.critic.parameters()]
+    places, rate = [parameter.data_ptr() for parameter in made.alg.actor.parameters()], made.alg.learning_rate
+    for update in (made._update_critic, made._update_critic):
+        made._collect(made.env.get_observations())
+        update(made.env.get_observations())
+    assert all(torch.equal(a, b) for a, b in zip(made.alg.actor.parameters(), before, strict=True))
+    assert [parameter.data_ptr() for parameter in made.alg.actor.parameters()] == places
+    assert not any(torch.equal(a, b) for a, b in zip(made.alg.critic.parameters(), critic, strict=True))
+    assert not any(state["step"] or state["exp_avg"].any() for _, state in made._actor_parameters())
+    assert made.alg.learning_rate == pytest.approx(rate)

@@ -180,6 +180,7 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
     ("changes", "said"),
     [
         (["train.distillation={teachers={phantomx=PHANTOMX}}"], "names no teacher of (solo12|unitree_go2)"),
+        (["train.distillation={teachers={phantonx=PHANTOMX}}"], "'phantonx' is no robot .* did you mean 'phantomx'"),
         (["train.distillation={teachers={'*'=PHANTOMX}}"], "was trained without the joints .*HAA"),
         (["train.distillation={teacher=PHANTOMX, teachers={'*'=PHANTOMX}}"], "needs either teacher"),
         (["train.distillation={loss_type='mse'}"], "needs either teacher"),

@@ -5,6 +5,7 @@ student's task by term, control step, place within the term and joint or leg, so
 teacher and student may differ.
 """
 
+import difflib
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -119,14 +120,14 @@ class _Source:
         self.sim, self.groups = sim, list(groups)
         self.slots: list[str] = sim.canonical_joint_names
         self.mask = torch.from_numpy(sim.action_mask)
-        numbers = [number for group in groups for number in _numbers(sim, group)]
-        self.width = len(numbers)
-        self._places: dict[Number, int] = {}
-        for column, number in enumerate(numbers):
-            self._places.setdefault(number, column)
-        self._treatments = {
-            term: treatment for group in reversed(self.groups) for term, treatment in _treatments(sim, group).items()
-        }
+        self._places: dict[Number, tuple[int, str]] = {}
+        """Column and group of each number; the first group that has it counts."""
+        self.width = 0
+        for group in groups:
+            for number in _numbers(sim, group):
+                self._places.setdefault(number, (self.width, group))
+                self.width += 1
+        self._treatments = {group: _treatments(sim, group) for group in groups}
         terms = [term for group in groups for term in terms_of(sim, group)]
         self.actions = {term.term for term in terms if term.source == "last_action"}
 
@@ -141,22 +142,29 @@ class _Source:
         A number of a joint or leg that these robots lack has the last column, of zeros.
         """
         owners = {"", *self.slots_of(rows), *self.sim.feet_names}
-        columns = []
+        columns: list[int] = []
+        taken: set[tuple[str, str]] = set()
         for number in _numbers(sim, "policy"):
-            column = self._places.get(number)
-            if column is None and number.owner in owners:
+            place = self._places.get(number)
+            if place is not None:
+                columns.append(place[0])
+                taken.add((number.term, place[1]))
+            elif number.owner not in owners:
+                columns.append(self.width)
+            else:
                 past = f", {number.age} control steps before the present one" if number.age else ""
                 raise _core.ConfigError(
                     f"[distillation.teachers] {path} reads the term {number.term}{past}, which the observation groups "
                     f"{', '.join(self.groups)} of {self.sim.task_name} lack; add it to [[observations.teacher]], or "
                     "name its group in [obs_groups] teacher"
                 )
-            columns.append(self.width if column is None else column)
-        for term, treatment in _treatments(sim, "policy").items():
-            if treatment != (here := self._treatments[term]):
+        wanted = _treatments(sim, "policy")
+        for term, group in sorted(taken):
+            if wanted[term] != (here := self._treatments[group][term]):
                 raise _core.ConfigError(
-                    f"[distillation.teachers] {path} reads the term {term} with {_shown(treatment)}, and the student's "
-                    f"task gives it with {_shown(here)}; give the term of [[observations.teacher]] the same values"
+                    f"[distillation.teachers] {path} reads the term {term} with {_shown(wanted[term])}, and the "
+                    f"student's task gives it with {_shown(here)}; give the term of [[observations.{group}]] the same "
+                    "values"
                 )
         return columns
 
@@ -174,11 +182,19 @@ class Teachers(torch.nn.Module):
             device: where they act.
 
         Raises:
-            ConfigError: as `Teacher`, and for a robot without a teacher.
+            ConfigError: as `Teacher`, for a robot without a teacher, and for an unknown robot.
         """
         super().__init__()
         self._groups, self._num_actions = list(groups), sim.num_actions
         source, infos = _Source(sim, groups), _infos(sim)
+        known = {*sim.robots, *(entry["name"] for entry in _core.robots()), OTHERS}
+        for robot in paths:
+            if robot not in known:
+                nearest = difflib.get_close_matches(robot, known, n=1, cutoff=0.0)[0]
+                raise _core.ConfigError(
+                    f"[distillation.teachers] {robot[:80]!r} is no robot of the run or the library; did you mean "
+                    f"{nearest!r}?"
+                )
         robots_of: dict[str, list[str]] = {}
         for robot in sim.robots:
             if (path := paths.get(robot, paths.get(OTHERS))) is None:
@@ -187,7 +203,7 @@ class Teachers(torch.nn.Module):
                     "others"
                 )
             robots_of.setdefault(path, []).append(robot)
-        self.teachers = []
+        self.teachers: list[Teacher] = []
         for path, robots in robots_of.items():
             blocks = {robot: range(*sim.env_ids(robot)) for robot in robots}
             rows = torch.tensor([row for block in blocks.values() for row in block], dtype=torch.int64)
@@ -315,8 +331,8 @@ class ManyTeachers(Distillation):
 
     def _errors(self, batch: RolloutStorage.Batch) -> torch.Tensor:
         """[num_envs, num_actions], error of each action."""
-        is_mixed = {"device_type": torch.device(self.device).type, "enabled": self.use_mixed_precision}
-        with torch.amp.autocast(**is_mixed, dtype=torch.bfloat16):
+        kind = torch.device(self.device).type
+        with torch.amp.autocast(kind, dtype=torch.bfloat16, enabled=self.use_mixed_precision):
             actions = self.student(batch.observations)
         errors: torch.Tensor = self.loss_fn(actions.float(), batch.privileged_actions, reduction="none")
         return errors
