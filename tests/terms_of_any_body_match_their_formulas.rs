@@ -20,7 +20,7 @@ const STEPS: usize = 250;
 const STEP_DT: f64 = 0.02;
 
 /// Key in the set, parameters (but for the weight) and weight.
-const TERMS: [(&str, &str, f64); 19] = [
+const TERMS: [(&str, &str, f64); 21] = [
     ("action_rate_l2", "mean = true", -0.01),
     ("base_height_l2", "", -1.0),
     ("desired_contacts", "", -1.0),
@@ -35,11 +35,13 @@ const TERMS: [(&str, &str, f64); 19] = [
     ("is_terminated", "", -200.0),
     ("joint_pos_limits", "", -1.0),
     ("joint_vel_l2", "joints = ['L*'], mean = true", -1e-3),
+    ("landings", "term = 'feet_air_time', threshold = 0.1, turning = true", 0.25),
     ("limits_of_knees", "term = 'joint_pos_limits', joints = ['*_KNEE', '*_KFE'], mean = true", -1.0),
     ("low_base", "term = 'base_height_l2', target_height = 0.2", -1.0),
     ("scaled_acc_l2", "", -1e-2),
     ("scaled_torques_l2", "", -1.0),
     ("stand_still_joint_deviation_l1", "command_threshold = 0.3", -0.4),
+    ("strides", "term = 'feet_air_time_positive_biped', threshold = 0.2, turning = true", 0.75),
 ];
 
 fn options(overrides: &[String]) -> SimOptions {
@@ -54,6 +56,7 @@ fn options(overrides: &[String]) -> SimOptions {
         format!("rewards.any={{ {} }}", terms.join(", ")),
         "commands.base_velocity.resampling_time_s=1.0".into(),
         "commands.base_velocity.rel_standing_envs=0.3".into(),
+        "commands.base_velocity.rel_turning_envs=0.3".into(),
         "events.push_robot.interval_range_s=[0.5, 1.0]".into(),
         "terminations={ time_out = {}, bad_orientation = { limit_angle = 0.7 } }".into(),
         "terminations.root_height_below_minimum={ minimum_share = 0.6 }".into(),
@@ -132,6 +135,8 @@ impl Seen<'_> {
         let mean = |x: Vec<f64>| x.iter().sum::<f64>() / x.len().max(1) as f64;
         let squares = |x: Vec<f64>| x.iter().map(|x| x * x).collect::<Vec<f64>>();
         let planar = length(&self.command[..2]);
+        let steps = planar > 0.1 || self.command[2].abs() > 0.1;
+        let landed = |foot: usize| (1e-9..STEP_DT + 1e-5).contains(&self.contact[foot]);
         let knee = |name: &str| name.ends_with("_KNEE") || name.ends_with("_KFE");
         match key {
             "action_rate_l2" => mean(squares(self.action_change.clone())),
@@ -157,17 +162,21 @@ impl Seen<'_> {
                     0.0
                 }
             }
-            "feet_air_time_positive_biped" => {
+            "feet_air_time_positive_biped" | "strides" => {
                 let standing = self.contact.iter().filter(|time| **time > 0.0).count();
                 let phases = self.contact.iter().zip(&self.air).map(|(contact, air)| contact.max(*air));
-                if standing == 1 && planar > 0.1 { phases.fold(0.2, f64::min) } else { 0.0 }
+                let counts = if key == "strides" { steps } else { planar > 0.1 };
+                if standing == 1 && counts { phases.fold(0.2, f64::min) } else { 0.0 }
+            }
+            "landings" => {
+                let last = (0..self.last_air.len()).filter(|foot| landed(*foot)).map(|foot| self.last_air[foot] - 0.1);
+                if steps { last.sum() } else { 0.0 }
             }
             "feet_slide" => {
                 let feet = self.foot_speed.iter().zip(&self.foot_peak);
                 feet.filter(|(_, force)| **force > 1.0).map(|(speed, _)| speed).sum()
             }
             "gait_symmetry" => {
-                let landed = |foot: usize| (1e-9..STEP_DT + 1e-5).contains(&self.contact[foot]);
                 let pairs = self.robot.feet.len() / 2;
                 let of = |left: usize| {
                     let (left, right) = (left, left + pairs);
@@ -276,7 +285,8 @@ fn rewards() {
                 "deviation_torso" => *robot != "small_humanoid",
                 _ => false,
             };
-            let rare = *key == "feet_air_time_positive_biped" && !robot.starts_with("small_b");
+            let strides = ["feet_air_time_positive_biped", "strides"].contains(key);
+            let rare = strides && !robot.starts_with("small_b");
             assert!(rare || (times == 0) == never, "{robot}: {key} was worth something {times} times");
         }
     }
