@@ -4,7 +4,7 @@ import os
 import sys
 from collections.abc import MutableMapping
 
-from polypod import interrupts
+from polypod import interrupts, quick_start
 
 _SPIN_COUNT = "1000"
 """Turns, some microseconds, that an idle thread of torch's OpenMP (libgomp) spins before it
@@ -29,6 +29,7 @@ def main() -> int:
     try:
         interrupts.watch()
         spin_briefly(os.environ)  # libgomp reads it when torch is imported
+        quick_start.skip_compiler()
         from polypod import cli
 
         return cli.main(sys.argv[1:])

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import polypod
-from polypod import _core
+from polypod import _core, quick_start
 from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, python_terms, run_dir
@@ -444,9 +444,11 @@ def runner_of(
 
     The learner must be resolved.
     """
+    if train_config.run.learner == "native" and torch.device(device).type == "cpu":
+        return NativeRunner(env, train_config, run, device, reporter, workers)
+    quick_start.import_compiler()
     if train_config.run.learner == "native":
-        kind = NativeRunner if torch.device(device).type == "cpu" else GpuRunner
-        return kind(env, train_config, run, device, reporter, workers)
+        return GpuRunner(env, train_config, run, device, reporter, workers)
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)

@@ -1,0 +1,27 @@
+"""Commands that train and run policies start without torch's compiler.
+
+`torch._dynamo` takes longer to import than torch, and polypod compiles nothing.
+"""
+
+import subprocess
+import sys
+
+SCRIPT = """
+import sys
+from polypod.__main__ import main
+code = main()
+print(*(name for name in ("tensordict", "torch", "torch._dynamo") if name in sys.modules))
+sys.exit(code)
+"""
+TRAIN = "train --train-config quick --robots unitree_a1 --num-envs 8 --max-iterations 1 --logger none"
+
+
+def test_the_native_learner_and_the_evaluation_need_no_compiler(tmp_path):
+    command = [sys.executable, "-c", SCRIPT, *TRAIN.split()]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "tensordict torch"
+
+
+def test_programs_that_import_polypod_keep_their_imports():
+    assert not any(type(finder).__module__ == "polypod.quick_start" for finder in sys.meta_path)
