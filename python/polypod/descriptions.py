@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.observation import terms_of
+from polypod.observation import placed, terms_of
 
 Array = npt.NDArray[np.float64]
 
@@ -93,17 +93,13 @@ def describe(robots: Sequence[str], task: str = TASK, overrides: Sequence[str] =
     """
     play = _core.play_task(task)
     sim = _core.VecSim(play, len(robots), robots=list(robots), seed=0, threads=1, overrides=for_one_env_each(overrides))
-    start = 0
-    for term in terms_of(sim):
-        if term.term == TERM:
-            break
-        start += term.size
-    else:
+    columns = next((at for term, at in placed(terms_of(sim)) if term.term == TERM), None)
+    if columns is None:
         return describe(robots)
     sim.reset(0)
     count, slots = len(DESCRIPTORS), sim.canonical_joint_names
     # a term with a history: its present numbers
-    numbers = sim.observation[:, start : start + term.size].reshape(len(robots), -1, count, len(slots))[:, -1]
+    numbers = sim.observation[:, columns].reshape(len(robots), -1, count, len(slots))[:, -1]
     bodies = {}
     for robot in sim.robots:
         row, _ = sim.env_ids(robot)

@@ -7,7 +7,7 @@ simulation.
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from polypod import _core
@@ -95,6 +95,24 @@ writes them. Manifests of earlier versions hold (term, size) alone."""
 def terms_of(sim: _core.VecSim, group: str = "policy") -> tuple[Term, ...]:
     """Terms of an observation group of `sim`, in order."""
     return tuple(Term.read(entry) for entry in json.loads(sim.observation_terms(group)))
+
+
+def placed(terms: Iterable[Term]) -> Iterator[tuple[Term, slice]]:
+    """Terms with their columns of the observation."""
+    start = 0
+    for term in terms:
+        yield term, slice(start, start + term.size)
+        start += term.size
+
+
+def columns_of(sim: _core.VecSim, source: str) -> tuple[slice, int]:
+    """Columns of the term that is computed from `source`, and the number of new ones in a step."""
+    for term, columns in placed(terms_of(sim)):
+        if term.source == source:
+            return columns, term.width
+    raise _core.ConfigError(
+        f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
+    )
 
 
 def layout_of(terms: Sequence[Term]) -> list[dict[str, Any]]:

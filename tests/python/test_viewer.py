@@ -14,12 +14,11 @@ import pytest
 import polypod.cli
 from browser import PROGRAM, Page
 from common import FLAT_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
-from polypod import _core, bundled
+from polypod import _core, bundled, rotations
 from polypod.play import Player, session
 from polypod.play.live import FROM_TASK, OWN, TOGETHER, Choice, Live, columns_of
 from polypod.play.panel import KEYS, Panel
 from polypod.play.viewer import GROUP, NOTHING, Viewer
-from polypod.render import mesh, turns
 
 PICTURE = 0.1
 """Time between two pictures of a slow page, s."""
@@ -88,7 +87,7 @@ class Client:
                     # viser puts labels where the node above was when the last picture was drawn
                     parent = name.rsplit("/", 1)[0]
                     return self.places_before.get(parent, np.zeros(3)) + node["position"]
-                position = node["position"] + mesh.rotation(node["wxyz"]) @ position
+                position = node["position"] + rotations.matrix(node["wxyz"]) @ position
             name = name.rsplit("/", 1)[0]
         return position
 
@@ -269,7 +268,8 @@ def test_height_scans_lie_on_the_ground():
     for robot, points in zip(player.frame().robots, scan, strict=True):
         np.testing.assert_allclose(points[:, :2].mean(axis=0), robot.position[0][:2], atol=1e-3)
         # the first ray is behind the robot on its right, the last in front of it on its left
-        ahead = mesh.rotation(turns.about_z(turns.heading(robot.quaternion[0]))).T @ (points[-1] - points[0])
+        about_z = rotations.of_angles(0.0, 0.0, float(rotations.heading(robot.quaternion[0])))
+        ahead = rotations.matrix(about_z).T @ (points[-1] - points[0])
         np.testing.assert_allclose(ahead[:2], [1.6, 1.0], atol=1e-3)
     assert Player(FLAT_POLICY, ["spot"], threads=1).sim.height_scan().shape == (1, 0, 3)
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 import polypod
+from polypod import rotations
 from polypod.accuracy.reference import Reference
 from polypod.accuracy.robot import Array, Robot
 
@@ -85,7 +86,7 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
     ours = {
         "center_of_mass": sim.center_of_mass(),
         "link_position": position[:, kept],
-        "link_rotation": _matrices(rotation[:, kept]),
+        "link_rotation": rotations.matrix(rotation[:, kept]),
         "mass_matrix": sim.mass_matrix(),
         "bias_force": sim.bias_force(),
         "forward_dynamics": sim.forward_dynamics(torque),
@@ -116,14 +117,3 @@ def compare_statics(robot: Robot, *, states: int = NUM_STATES, seed: int = 0, dt
     }
     mass = float(np.sum(mujoco.model.body_mass))
     return StaticsResult(robot.name, states, abs(sim.total_mass - mass) / mass, **errors)
-
-
-def _matrices(quaternion: Array) -> Array:
-    """Rotation matrices [..., 3, 3] of unit quaternions [..., 4] (w, x, y, z)."""
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from polypod import _core, bundled, runs
+from polypod import _core, bundled, rotations, runs
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
 from polypod.export import RobotInterface, interfaces, states
@@ -28,11 +28,11 @@ from polypod.files import read_bytes
 from polypod.networks.onnx_network import OnnxNetwork
 from polypod.networks.onnx_session import check_whole, runtime
 from polypod.networks.policies import NetworkPolicy, reset
+from polypod.observation import placed
 from polypod.policy import METADATA, load
 from polypod.runs import manifest as manifests
 from polypod.sim2sim import run
-from polypod.sim2sim.commands import Array, heading_of
-from polypod.sim2sim.driven import rotations
+from polypod.sim2sim.commands import Array, Commanded
 
 Floats = npt.NDArray[np.float32]
 
@@ -309,7 +309,7 @@ def _sensors(
     time: float, qpos: Array, qvel: Array, heights: Array | None, given: Mapping[str, npt.ArrayLike]
 ) -> Sensors:
     """Measurements of the robot in a simulated state [nq], [nv]."""
-    turn = rotations(qpos[None])[0]
+    turn = rotations.matrix(qpos[3:7])
     return Sensors(
         time=time,
         joint_pos=qpos[7:],
@@ -335,19 +335,13 @@ def _in_polypod(file: File, episode: run.Episode, interface: RobotInterface, net
     (name,) = sim.robots
     policy = NetworkPolicy(network, sim.num_obs)
     reset(policy)
-    columns, width = run.columns_of(sim, "velocity_command")
+    commanded = Commanded(sim)
     own = _own_terms(interface)
     loops, active = _begun(file, sim.num_envs), np.ones(sim.num_envs, dtype=np.bool_)
-    given = np.zeros((sim.num_envs, columns.stop - columns.start), dtype=np.float32)
     for step in range(episode.steps):
         qpos, qvel = sim.qpos(name), sim.qvel(name)
-        commands = episode.commands.at(step, heading_of(qpos))
-        sim.set_command(commands)
-        observation = sim.observation.copy()
-        given = (
-            np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
-        )
-        observation[:, columns] = given
+        commands = episode.commands.at(step, rotations.heading(qpos[:, 3:7]))
+        observation = commanded.observation(commands)
         wanted = np.where(sim.action_mask > 0, policy(observation), np.float32(0.0))
         heights = qpos[:, 2:3] - sim.height_scan()[:, :, 2] if len(interface.scan_points) else None
         actions = np.zeros_like(wanted)
@@ -378,12 +372,11 @@ def _own_terms(interface: RobotInterface) -> dict[str, slice]:
 
     The simulator's values are their measurement.
     """
-    places, start = {}, 0
-    for term in interface.terms:
-        if term.source == "measured":
-            places[term.term] = slice(start + term.size - term.width, start + term.size)
-        start += term.size
-    return places
+    return {
+        term.term: slice(at.stop - term.width, at.stop)
+        for term, at in placed(interface.terms)
+        if term.source == "measured"
+    }
 
 
 def _targets(interface: RobotInterface, actions: npt.NDArray[np.float32]) -> Array:
@@ -468,7 +461,7 @@ def _in_mujoco(
     driver.twin = twin = run.twin_of(episode, name, source, interface, driver)
     twin.reset(*episode.start[name])
     for step in range(episode.steps):
-        commands = episode.commands.at(step, heading_of(twin.qpos))
+        commands = episode.commands.at(step, rotations.heading(twin.qpos[:, 3:7]))
         seen = twin.step(commands, driver.active.copy())
         fell = driver.active & seen.fell
         driver.played.falls += int(fell.sum())

@@ -19,7 +19,7 @@ from polypod.export.torch_graph import RobotPolicy, torchscript
 from polypod.files import write_bytes, write_text
 from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork, output_of
-from polypod.observation import Term
+from polypod.observation import Term, placed
 from polypod.policy import METADATA, LoadedPolicy, load, onnx_manifest
 
 Format = Literal["onnx", "torchscript"]
@@ -207,11 +207,10 @@ class _Writer:
         self.files.append(path)
 
     def _write_manifest(self, name: str, content: dict[str, Any]) -> None:
-        start, layout = 0, []
-        for term in self.terms:
-            place = {"term": term.term, "size": term.size, "start": start}
-            layout.append({**place, **dataclasses.asdict(term.treatment)})
-            start += term.size
+        layout = [
+            {"term": term.term, "size": term.size, "start": at.start, **dataclasses.asdict(term.treatment)}
+            for term, at in placed(self.terms)
+        ]
         normalizer: Any = self.network.obs_normalizer
         normalized = isinstance(normalizer, EmpiricalNormalization)
         manifest = {

@@ -20,6 +20,7 @@ from polypod import _core
 from polypod.export import metadata, states
 from polypod.export.robot import RobotInterface
 from polypod.networks.onnx_network import output_of
+from polypod.observation import placed
 
 VERSION = 1
 """Version of the contract. A loop refuses another one."""
@@ -231,14 +232,14 @@ def _columns(robot: RobotInterface) -> list[dict[str, Any]]:
 
 
 def _observation(robot: RobotInterface, is_normalized: bool) -> dict[str, Any]:
-    terms, start = [], 0
-    for term in robot.terms:
+    terms = []
+    for term, at in placed(robot.terms):
         constant = None if term.inputs else robot.constants.get(term.term)
         clip = term.treatment.clip
         terms.append(
             {
                 "name": term.term,
-                "start": start,
+                "start": at.start,
                 "size": term.size,
                 "history": term.history_length,
                 "source": term.source,
@@ -250,9 +251,8 @@ def _observation(robot: RobotInterface, is_normalized: bool) -> dict[str, Any]:
                 "constant": None if constant is None else [_float(x) for x in constant],
             }
         )
-        start += term.size
     return {
-        "size": start,
+        "size": sum(term.size for term in robot.terms),
         "order": "oldest_first",
         "first_step": "the past is filled with the first reading",
         "padding": "0 in each column whose joint is null",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.export.sources import check
-from polypod.observation import Term, terms_of
+from polypod.observation import Term, placed, terms_of
 
 Array = npt.NDArray[np.float32]
 
@@ -155,13 +155,9 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
             "use the version of the task that it was trained on"
         )
     terms = terms_of(sim)
-    constants: dict[str, slice] = {}
-    start = 0
     for term in terms:
         check(term, INPUTS)
-        if term.source == "robot_constant":
-            constants[term.term] = slice(start, start + term.size)
-        start += term.size
+    constants = {term.term: columns for term, columns in placed(terms) if term.source == "robot_constant"}
     infos, shapes = json.loads(sim.robot_info()), json.loads(sim.robot_shapes())
     observation = sim.observation
     return {

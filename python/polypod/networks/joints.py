@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.observation import Layout, Term, read_layout
+from polypod.observation import Layout, Term, placed, read_layout
 
 _PERCEPTRON = 'use a network that looks at no joints, class_name = "MLPModel"'
 
@@ -55,10 +55,8 @@ def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
     descriptions: list[npt.NDArray[np.int64]] = []
     magnitudes: list[float] = []
     general: list[int] = []
-    start = 0
-    for term in terms:
-        columns = np.arange(start, start + term.size)
-        start += term.size
+    for term, place in placed(terms):
+        columns = np.arange(place.start, place.stop)
         if term.kind != "per_joint":
             general += columns.tolist()
             continue
@@ -84,7 +82,7 @@ def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
         magnitudes=np.array(magnitudes, dtype=np.float32),
         descriptions=np.concatenate(descriptions),
         general=np.array(general, dtype=np.int64),
-        num_obs=start,
+        num_obs=sum(term.size for term in terms),
     )
 
 

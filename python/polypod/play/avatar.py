@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod import rotations
 from polypod.extras import package
 from polypod.play.looks import Look, Model
-from polypod.render import turns
-from polypod.render.mesh import Array, joined, rotation
+from polypod.render.mesh import joined
 from polypod.render.raster import COMMAND, FORCE, FORCE_LENGTH, Color
 from polypod.render.scene import Contact, RobotFrame
+from polypod.rotations import Array
 
 VELOCITY: Color = (58, 110, 214)
 """Colour of the arrow of the measured velocity; the commanded one is green, as in films."""
@@ -92,14 +93,14 @@ class Avatar:
             face: angle on the ground to where the name is looked at from, rad.
             scan: [rays, 3], where its height scanner sees the ground, m; None: it has none.
         """
-        base, back = robot.position[0], turns.inverse(robot.quaternion[0])
-        places = (robot.position[1:] - base) @ rotation(back).T
-        turned = turns.product(back, robot.quaternion[1:])
+        base, back = robot.position[0], rotations.inverse(robot.quaternion[0])
+        places = (robot.position[1:] - base) @ rotations.matrix(back).T
+        turned = rotations.product(back, robot.quaternion[1:])
         for handle, place, quaternion in zip(self._links[1:], places, turned, strict=True):
             handle.position, handle.wxyz = place, quaternion
         self._level.wxyz = back
         self._name.wxyz = _facing(face)
-        heading = turns.heading(robot.quaternion[0])
+        heading = rotations.heading(robot.quaternion[0])
         self._command.point(_level(robot.command, heading))
         self._velocity.point(_level(robot.velocity, heading) if self.shows_velocity else np.zeros(3))
         self._show_forces(robot.contacts if self.shows_forces else [], robot)
@@ -118,8 +119,8 @@ class Avatar:
                 parent = self._node(contact.link)
                 place = (float(contact.center[0]), float(contact.center[1]), float(contact.center[2]))
                 arrow = self._forces[contact.body] = _Arrow(self._scene, f"{parent}/force{contact.body}", FORCE, place)
-            back = turns.inverse(robot.quaternion[contact.link])
-            arrow.point(rotation(back) @ (FORCE_LENGTH * contact.force / robot.weight))
+            back = rotations.inverse(robot.quaternion[contact.link])
+            arrow.point(rotations.matrix(back) @ (FORCE_LENGTH * contact.force / robot.weight))
         for body, arrow in self._forces.items():
             if body not in touching:
                 arrow.point(np.zeros(3))
@@ -161,7 +162,7 @@ class _Arrow:
         length = float(np.linalg.norm(direction))
         visible = length > LEAST
         if visible:
-            self._handle.wxyz = turns.x_axis_to(direction)
+            self._handle.wxyz = rotations.x_axis_to(direction)
             if abs(length - self._length) > CLOSE or not self._visible:
                 self._handle.points = np.array([[[0.0, 0.0, 0.0], [length, 0.0, 0.0]]], dtype=np.float32)
                 self._length = length
@@ -175,7 +176,7 @@ def _strong(color: Color) -> Color:
     return round(red), round(green), round(blue)
 
 
-def _level(velocity: Array, heading: float) -> Array:
+def _level(velocity: Array, heading: Array) -> Array:
     """A forward and a left velocity as an arrow on the ground, m."""
     forward, left = ARROW * velocity[:2]
     cosine, sine = np.cos(heading), np.sin(heading)
@@ -186,7 +187,7 @@ def _facing(angle: float) -> Array:
     """The turn of an upright picture whose face looks to where `angle` on the ground points."""
     cosine, sine = np.cos(angle), np.sin(angle)
     # columns: the picture's right, down and back
-    return turns.of_axes(np.array([[-sine, 0.0, -cosine], [cosine, 0.0, -sine], [0.0, -1.0, 0.0]]))
+    return rotations.of_axes(np.array([[-sine, 0.0, -cosine], [cosine, 0.0, -sine], [0.0, -1.0, 0.0]]))
 
 
 def _plate(scene: Any, name: str, text: str, color: Color, height: float) -> Any:

@@ -18,7 +18,7 @@ from polypod import _core
 from polypod.compat import tomllib
 from polypod.extras import package
 from polypod.play.looks import Model
-from polypod.render.mesh import Array, rotation
+from polypod.rotations import Array, matrix
 
 TOLERANCE = 0.02
 """Links of a description may be so far from the robot's, m; joints at zero."""
@@ -67,7 +67,7 @@ def models(robot: str, links: Sequence[str], rest: tuple[Array, Array]) -> list[
     if links[0] not in poses:
         raise _core.ConfigError(f"{urdf}: there is no link {links[0]!r}")
     base = np.linalg.inv(poses[links[0]])
-    own = {link: _matrix(place, rotation(turn)) for link, place, turn in zip(links, *rest, strict=True)}
+    own = {link: _matrix(place, matrix(turn)) for link, place, turn in zip(links, *rest, strict=True)}
     for link in links:
         if link not in poses:
             raise _core.ConfigError(f"{urdf}: there is no link {link!r}")

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, descriptions
+from polypod import _core, descriptions, rotations
 from polypod.compat import tomllib
 from polypod.evaluation import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
 from polypod.policy import load
-from polypod.render import mesh
 from polypod.render.mesh import Array
 from polypod.render.scene import Scene
 
@@ -210,7 +209,7 @@ class Player(Scene):
     def _base_velocity(self, robot: str) -> tuple[Array, Array]:
         """Velocity of the base's centre of mass and angular velocity, base axes, [envs, 3]."""
         qpos, qvel = self.sim.qpos(robot), self.sim.qvel(robot)
-        velocity = np.stack([mesh.rotation(q[3:7]).T @ v[:3] for q, v in zip(qpos, qvel, strict=True)])
+        velocity = np.stack([rotations.matrix(q[3:7]).T @ v[:3] for q, v in zip(qpos, qvel, strict=True)])
         return velocity + np.cross(qvel[:, 3:6], self._com[robot]), qvel[:, 3:6]
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from polypod import rotations
+from polypod.rotations import Array
 
 ROUND = 12
 """Corners of a circle."""
@@ -30,7 +31,7 @@ class Mesh:
 
     def moved(self, position: npt.ArrayLike, quaternion: npt.ArrayLike) -> "Mesh":
         """The same in the parent frame of a pose: m, and (w, x, y, z)."""
-        return Mesh(self.vertices @ rotation(quaternion).T + np.asarray(position, dtype=np.float64), self.faces)
+        return Mesh(self.vertices @ rotations.matrix(quaternion).T + np.asarray(position, dtype=np.float64), self.faces)
 
     def triangles(self) -> npt.NDArray[np.uint32]:
         """[k, 3], the same faces as triangles."""
@@ -60,18 +61,6 @@ def lit(corners: Array, camera: Array, light: Array) -> tuple[npt.NDArray[np.boo
     return facing, 0.62 + 0.38 * np.clip(normals[facing] @ light / lengths[facing], -0.6, 1.0)
 
 
-def rotation(quaternion: npt.ArrayLike) -> Array:
-    """The rotation matrix of (w, x, y, z)."""
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def shape(description: Mapping[str, Any]) -> Mesh:
     """The mesh of a shape in its own frame.
 
@@ -98,7 +87,7 @@ def shape(description: Mapping[str, Any]) -> Mesh:
 def obstacle(description: Mapping[str, Any]) -> list[Mesh]:
     """The meshes of an obstacle of a resolved task's scene, in the env's frame."""
     roll, pitch, yaw = description.get("rpy", (0.0, 0.0, 0.0))
-    turn = _quaternion(roll, pitch, yaw)
+    turn = rotations.of_angles(roll, pitch, yaw)
     match description["shape"]:
         case "ramp":
             parts = [_ramp(description["size"])]
@@ -227,16 +216,3 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> Array:
-    """Quaternion of rotations about the fixed x, y and z axes, in this order."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
-    return np.array(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ]
-    )

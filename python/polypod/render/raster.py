@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod import rotations
 from polypod.extras import package
-from polypod.render import relief, turns
+from polypod.render import relief
 from polypod.render.camera import NEAR, Camera, Lens
 from polypod.render.mesh import Array, Mesh, lit
 from polypod.render.scene import Frame, RobotFrame, Scene, arrow
@@ -331,5 +332,5 @@ def _draw_ground(canvas: _Canvas, camera: Camera) -> None:
 
 def _heading(quaternion: Sequence[float] | npt.NDArray[np.float64]) -> Array:
     """[2, 2], turns the base's forward and left into the world's x and y."""
-    angle = turns.heading(quaternion)
+    angle = rotations.heading(quaternion)
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

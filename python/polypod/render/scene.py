@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.compat import tomllib
 from polypod.render import mesh
 from polypod.render.ground import Ground
@@ -189,7 +189,7 @@ class Scene:
         for part in self.parts[name]:
             if part.body not in seen and np.linalg.norm(forces[part.body]) > 1.0:
                 seen.add(part.body)
-                at = mesh.rotation(quaternion[part.link]) @ part.center + position[part.link]
+                at = rotations.matrix(quaternion[part.link]) @ part.center + position[part.link]
                 contacts.append(Contact(at, forces[part.body], part.body, part.link, part.center))
         return contacts
 

@@ -13,7 +13,7 @@ from polypod.evaluation import Policy, play_task, undisturbed
 from polypod.evaluation.rollout import as_trained
 from polypod.evaluation.walking import Record, Schedule, episode_steps
 from polypod.networks.policies import reset
-from polypod.observation import terms_of
+from polypod.observation import placed, terms_of
 from polypod.robustness import overrides, schedules
 from polypod.robustness.body import Body, bodies
 from polypod.robustness.conditions import Condition
@@ -100,13 +100,8 @@ def schedules_of(
 
 def description_columns(sim: _core.VecSim) -> npt.NDArray[np.intp]:
     """Columns of the observation that describe the robot."""
-    columns: list[int] = []
-    start = 0
-    for term in terms_of(sim):
-        if term.source == "robot_constant":
-            columns += range(start, start + term.size)
-        start += term.size
-    return np.array(columns, dtype=np.intp)
+    places = [at for term, at in placed(terms_of(sim)) if term.source == "robot_constant"]
+    return np.array([column for at in places for column in range(at.start, at.stop)], dtype=np.intp)
 
 
 @dataclasses.dataclass(frozen=True)

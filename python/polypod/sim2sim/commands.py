@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod import _core
 from polypod.evaluation.walking import Schedule
+from polypod.observation import columns_of
 
 Array = npt.NDArray[np.float64]
 
@@ -103,7 +105,25 @@ class Commands:
         return command.astype(np.float32)
 
 
-def heading_of(qpos: Array) -> Array:
-    """Heading of the base's x axis in the world, rad, of positions [envs, nq]."""
-    w, x, y, z = qpos[:, 3:7].T
-    return np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+class Commanded:
+    """Envs that observe the commands given here, and no others."""
+
+    def __init__(self, sim: _core.VecSim) -> None:
+        """Of an episode that begins. Raises ConfigError for a task that observes no commands."""
+        self._sim = sim
+        self._columns, self._width = columns_of(sim, "velocity_command")
+        self._given: npt.NDArray[np.float32] | None = None
+
+    def observation(self, commands: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Gives commands [envs, 3]; returns the observation with them, [envs, numbers].
+
+        The newest are the last of a history, which begins full of the first ones.
+        """
+        self._sim.set_command(commands)
+        observation = self._sim.observation.copy()
+        if self._given is None:
+            self._given = np.tile(commands, (self._columns.stop - self._columns.start) // self._width)
+        else:
+            self._given = np.concatenate([self._given[:, self._width :], commands], axis=1)
+        observation[:, self._columns] = self._given
+        return observation

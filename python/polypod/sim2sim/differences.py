@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod import rotations
 from polypod.accuracy.reference import mujoco
 from polypod.accuracy.robot import Robot
-from polypod.sim2sim.commands import Array, heading_of
+from polypod.sim2sim.commands import Array
 from polypod.sim2sim.driven import Driven
 from polypod.sim2sim.maker import Maker, Model, lowest
 from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton
@@ -152,7 +153,7 @@ def _response(robots: Driven, start: tuple[Array, Array]) -> Response:
         falls |= bool(seen.fell[0])
         qpos = np.nan_to_num(robots.qpos, nan=0.0, posinf=0.0, neginf=0.0)
         base.append(qpos[0, :3] - start[0][0, :3])
-        heading.append(float(heading_of(qpos)[0]))
+        heading.append(float(rotations.heading(qpos[:, 3:7])[0]))
         joints.append(qpos[0, 7:].copy())
         if not np.isfinite(robots.qpos).all():
             robots.reset(*start)

@@ -19,11 +19,11 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.accuracy.reference import GRAVITY, Heights, mujoco, states
 from polypod.accuracy.robot import Robot
 from polypod.export.robot import RobotInterface
-from polypod.sim2sim.commands import Array, heading_of
+from polypod.sim2sim.commands import Array
 
 FALL_FORCE = 1.0
 """Normal force on a shape of the base from which a robot has fallen, N: the task's own
@@ -221,7 +221,7 @@ class Driven:
 
     def projected_gravity(self) -> Array:
         """[envs, 3], unit vector of gravity, base axes; zeros without gravity."""
-        return np.einsum("eji,j->ei", rotations(self.qpos), self._down)
+        return np.einsum("eji,j->ei", rotations.matrix(self.qpos[:, 3:7]), self._down)
 
     def base_height(self) -> Array:
         """[envs], of the base's origin above the ground below it, m.
@@ -237,7 +237,7 @@ class Driven:
 
     def height_scan(self) -> Array:
         """[envs, rays], height of the base's origin above the scanned points of the ground, m."""
-        heading = heading_of(self.qpos)
+        heading = rotations.heading(self.qpos[:, 3:7])
         (cos, sin), points = (np.cos(heading)[:, None], np.sin(heading)[:, None]), self.interface.scan_points
         x, y = cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]
         at = self.qpos[:, :3] + self.places
@@ -247,7 +247,7 @@ class Driven:
 
     def base_velocity(self) -> tuple[Array, Array]:
         """Velocity of the base's origin, m/s, and angular velocity, rad/s, [envs, 3], base axes."""
-        velocity = np.einsum("eji,ej->ei", rotations(self.qpos), self.qvel[:, :3])
+        velocity = np.einsum("eji,ej->ei", rotations.matrix(self.qpos[:, 3:7]), self.qvel[:, :3])
         return velocity, self.qvel[:, 3:6]
 
     def _physics_step(self, substep: int, envs: npt.NDArray[np.intp], fell: npt.NDArray[np.bool_]) -> None:
@@ -311,16 +311,3 @@ class Driven:
         data = self._data[env]
         self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
         self.qpos[env, :3] -= self.places[env]
-
-
-def rotations(qpos: Array) -> Array:
-    """Rotation matrices [envs, 3, 3] of the base."""
-    w, x, y, z = qpos[:, 3:7].T
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], axis=-1),
-            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], axis=-1),
-            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
-    )

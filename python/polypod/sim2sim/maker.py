@@ -23,12 +23,12 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.accuracy.reference import Heights, Reference, mujoco
 from polypod.accuracy.robot import Robot
 from polypod.sim2sim import mapping, mjcf
 from polypod.sim2sim.commands import Array
-from polypod.sim2sim.driven import Drive, Driven, rotations
+from polypod.sim2sim.driven import Drive, Driven
 from polypod.sim2sim.mapping import Given, JointMap
 from polypod.sim2sim.skeleton import BASE, Skeleton, is_below, joints_below, skeleton
 
@@ -514,7 +514,7 @@ def write(body: Model, data: Any, place: Array, qpos: Array, qvel: Array) -> Non
     velocities = body.map.signs * qvel[6:]
     base, motion = qpos[:7].copy(), qvel[:6].copy()
     if not body.map.is_equal:
-        rotation = rotations(qpos[None])[0]
+        rotation = rotations.matrix(qpos[3:7])
         base[:3] = qpos[:3] + rotation @ shift
         base[3:] = mapping.times(qpos[3:7], mapping.quaternion_of(turn))
         motion[:3] = qvel[:3] + np.cross(rotation @ qvel[3:6], rotation @ shift)
@@ -599,7 +599,7 @@ class Maker(Driven):
         if not body.map.is_equal:
             turn, shift = body.map.turn, body.map.shift
             qpos[3:7] = mapping.times(qpos[3:7], mapping.quaternion_of(turn.T))
-            rotation = rotations(qpos[None])[0]
+            rotation = rotations.matrix(qpos[3:7])
             qpos[:3] -= rotation @ shift
             qvel[3:6] = turn @ qvel[3:6]
             qvel[:3] -= np.cross(rotation @ qvel[3:6], rotation @ shift)

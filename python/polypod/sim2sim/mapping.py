@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.accuracy.reference import mujoco
 from polypod.compat import tomllib
 from polypod.files import read_bytes
@@ -588,7 +588,7 @@ def _framed(matcher: _Matcher, ours: Skeleton, theirs: Skeleton, given: Given, f
     count = max(1, len(ours.names))
     none = np.zeros(3)
     if given.quaternion is not None or given.position is not None:
-        turn = np.eye(3) if given.quaternion is None else rotation_of(given.quaternion)
+        turn = np.eye(3) if given.quaternion is None else rotations.matrix(given.quaternion)
         frame = Rigid(turn, none if given.position is None else np.array(given.position))
         return frame, _only(matcher.matches(frame), ours, theirs, count, file), "map"
     equal = Rigid(np.eye(3), none)
@@ -665,18 +665,6 @@ def right_angles() -> list[Array]:
             if np.linalg.det(turn) > 0.0:
                 turns.append(turn)
     return turns
-
-
-def rotation_of(quaternion: Sequence[float]) -> Array:
-    """[3, 3], of (w, x, y, z)."""
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def quaternion_of(turn: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.accuracy.reference import Reference
@@ -25,7 +25,7 @@ from polypod.files import read_bytes
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim import differences, maker, mapping, mjcf, phases, run
-from polypod.sim2sim.commands import Array, Commands, heading_of
+from polypod.sim2sim.commands import Array, Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
 from polypod.sim2sim.phases import PhaseFigures, PhaseRecord
@@ -385,7 +385,7 @@ class Stage:
         record, by_phase = walking.Record(self.schedule, self.episode.step_dt), self._record()
         for step in range(self.schedule.steps):
             robots.saturated[:], robots.watched[:] = 0.0, 0.0
-            seen = robots.step(commands.at(step, heading_of(robots.qpos)), record.active)
+            seen = robots.step(commands.at(step, rotations.heading(robots.qpos[:, 3:7])), record.active)
             record.add(seen.velocity, seen.yaw_rate, seen.fell)
             if by_phase is not None:
                 by_phase.add(seen.velocity, seen.yaw_rate, seen.fell, robots.saturated, robots.watched)

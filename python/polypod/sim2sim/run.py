@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, descriptions
+from polypod import _core, descriptions, rotations
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.compat import tomllib
@@ -23,10 +23,9 @@ from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
-from polypod.observation import terms_of
 from polypod.policy import load
 from polypod.provenance import Measured, measured
-from polypod.sim2sim.commands import Array, Commands, heading_of
+from polypod.sim2sim.commands import Array, Commanded, Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.twin import Physics, Twin
 
@@ -372,20 +371,13 @@ def run_polypod(
 ) -> dict[str, Figures]:
     """Runs an episode in polypod; figures by robot. `seen` is shown each control step."""
     sim = episode.sim
-    command, width = columns_of(sim, "velocity_command")
-    given = np.zeros((sim.num_envs, command.stop - command.start), dtype=np.float32)
+    commanded = Commanded(sim)
     reset(policy)
     record = walking.Record(episode.schedule, episode.step_dt)
     for step in range(episode.steps):
-        heading = np.concatenate([heading_of(sim.qpos(name)) for name in sim.robots])
+        heading = np.concatenate([rotations.heading(sim.qpos(name)[:, 3:7]) for name in sim.robots])
         commands = episode.commands.at(step, heading)
-        sim.set_command(commands)
-        observation = sim.observation.copy()
-        # observed commands are the ones given here, the newest last; at first all are the first one
-        given = (
-            np.concatenate([given[:, width:], commands], axis=1) if step else np.tile(commands, given.shape[1] // width)
-        )
-        observation[:, command] = given
+        observation = commanded.observation(commands)
         # the actions of a robot that lies on the ground are not judged, and may be beyond what a
         # step takes
         sim.step(np.where(record.active[:, None], policy(observation), np.float32(0.0)))
@@ -397,19 +389,6 @@ def run_polypod(
                 watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
     return {name: episode.figures(name, record, slice(*sim.env_ids(name))) for name in sim.robots}
-
-
-def columns_of(sim: _core.VecSim, source: str) -> tuple[slice, int]:
-    """Columns of the observation's term that is computed from `source`, and number of new ones."""
-    start = 0
-    for term in terms_of(sim):
-        end = start + term.size
-        if term.source == source:
-            return slice(start, end), term.width
-        start = end
-    raise _core.ConfigError(
-        f"task {sim.task_name} observes no term that is computed from {source}; add one to observations.policy"
-    )
 
 
 def twin_of(
@@ -453,7 +432,7 @@ def _run_mujoco(
     envs = slice(*episode.sim.env_ids(name))
     record = walking.Record(episode.schedule.of_envs(envs), episode.step_dt)
     for step in range(episode.steps):
-        wanted = commands.at(step, heading_of(twin.qpos))
+        wanted = commands.at(step, rotations.heading(twin.qpos[:, 3:7]))
         seen = twin.step(wanted, record.active)
         record.add(seen.velocity, seen.yaw_rate, seen.fell, wanted)
         if watch is not None:
