@@ -25,7 +25,6 @@ from polypod.sim2sim import compare
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-STORIES = ("walk", "training", "push", "mujoco")
 MOST_PARTS = 40
 """Checkpoints of a film of a training."""
 PUSH_EVERY = 1.6
@@ -61,7 +60,7 @@ class Options:
 
 
 def tell(story: str, options: Options) -> None:
-    """Films one of `STORIES`.
+    """Films a story: `walk`, `training`, `push` or `mujoco`.
 
     Raises:
         ConfigError: for options that cannot be used, and where a package is missing.

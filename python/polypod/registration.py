@@ -22,7 +22,9 @@ def register_tasks() -> None:
     registered. Where a folder is not there, only the built-in tasks are registered, with a warning.
     """
     try:
-        tasks, broken = _core.tasks(), _core.broken_configs()
+        tasks = _core.tasks()
+        # polypod's own configs are sound, and reading all of them again takes as long as the tasks
+        broken = _core.broken_configs() if os.environ.get(PATH) else []
     except _core.PolypodError as error:
         warnings.warn(f"polypod registers only its own tasks with Gymnasium: {error}", RuntimeWarning, stacklevel=2)
         tasks, broken = _built_in_tasks(), []

@@ -1,5 +1,6 @@
 """Tables of figures that fit the terminal."""
 
+import math
 import sys
 from collections.abc import Sequence
 
@@ -15,6 +16,11 @@ _GAPS = (2, 1)
 def console_of_output() -> Console:
     """A console on standard output: as wide as the terminal, else `_PLAIN_WIDTH`."""
     return Console(width=None if sys.stdout.isatty() else _PLAIN_WIDTH, soft_wrap=False, highlight=False)
+
+
+def shown(value: float, form: str) -> str:
+    """A figure in this format; a dash where it was not measured, NaN."""
+    return "-" if math.isnan(value) else format(value, form)
 
 
 class Rows:

@@ -20,6 +20,7 @@ import torch
 from polypod import _core, bundled, rotations, runs
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
+from polypod.evaluation.results import finite
 from polypod.export import RobotInterface, interfaces, states
 from polypod.export import contract as contracts
 from polypod.export.torch_graph import RobotPolicy
@@ -110,16 +111,7 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON."""
-        rows = {
-            name: {
-                **{
-                    key: (value if not isinstance(value, float) or np.isfinite(value) else None)
-                    for key, value in dataclasses.asdict(played).items()
-                },
-                "holds": played.holds,
-            }
-            for name, played in self.played.items()
-        }
+        rows = {name: {**dataclasses.asdict(of), "holds": of.holds} for name, of in self.played.items()}
         return {
             "file": self.file,
             "robot": self.contract.robot,
@@ -131,7 +123,7 @@ class Check:
             "reference": self.reference,
             "num_envs": self.num_envs,
             "bound": BOUND,
-            "simulators": rows,
+            "simulators": finite(rows),
             "holds": self.holds,
         }
 

@@ -23,8 +23,6 @@ BODY: dict[str, Color] = {
     "other": (150, 156, 166),
 }
 """Colours of a robot's bodies, by group; thighs have the robot's own colour."""
-ACCENTS = 8
-"""Colours that tell robots apart, until they repeat."""
 EDGE = 0.2
 """Radius of a rounded edge, in shortest edges of the box or in radii of the cylinder."""
 MOST_EDGE = 0.03

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 
 from polypod.robustness.results import Battery, Row
-from polypod.tables import Rows, console_of_output
+from polypod.tables import Rows, console_of_output, shown
 
 COLUMNS = ("falls", "most", "of", "kept", "err xy", "still", "err yaw", "turn err", "turn", "drift", "within")
 """Columns of the table. `most` and `of` are of the worst robot, the others are means over the
@@ -49,12 +49,12 @@ def figures(row: Row) -> tuple[str, ...]:
         f"{worst.fall_rate:.1%}",
         row.worst,
         f"{_mean(cell.kept for cell in cells):.1%}",
-        _number(cell.error_vel_xy for cell in cells),
-        _number(cell.still_error_vel_xy for cell in cells),
-        _number(cell.error_vel_yaw for cell in cells),
-        _number(cell.turn_error for cell in cells),
-        _share(cell.turn_reached for cell in cells),
-        _number(cell.drift_xy for cell in cells),
+        shown(_mean(cell.error_vel_xy for cell in cells), ".3f"),
+        shown(_mean(cell.still_error_vel_xy for cell in cells), ".3f"),
+        shown(_mean(cell.error_vel_yaw for cell in cells), ".3f"),
+        shown(_mean(cell.turn_error for cell in cells), ".3f"),
+        shown(_mean(cell.turn_reached for cell in cells), ".0%"),
+        shown(_mean(cell.drift_xy for cell in cells), ".3f"),
         "yes" if row.is_within else f"no, {sum(bool(cell.faults) for cell in cells)} of {len(cells)} miss",
     )
 
@@ -63,13 +63,3 @@ def _mean(values: Iterable[float]) -> float:
     """The mean of those that were measured; NaN without one."""
     measured = [value for value in values if not math.isnan(value)]
     return sum(measured) / len(measured) if measured else math.nan
-
-
-def _number(values: Iterable[float]) -> str:
-    mean = _mean(values)
-    return "-" if math.isnan(mean) else f"{mean:.3f}"
-
-
-def _share(values: Iterable[float]) -> str:
-    mean = _mean(values)
-    return "-" if math.isnan(mean) else f"{mean:.0%}"

@@ -109,7 +109,7 @@ class Commanded:
     """Envs that observe the commands given here, and no others."""
 
     def __init__(self, sim: _core.VecSim) -> None:
-        """Of an episode that begins. Raises ConfigError for a task that observes no commands."""
+        """Begins an episode. Raises ConfigError for a task that observes no commands."""
         self._sim = sim
         self._columns, self._width = columns_of(sim, "velocity_command")
         self._given: npt.NDArray[np.float32] | None = None

@@ -5,7 +5,7 @@ import math
 from polypod.sim2sim.differences import Difference
 from polypod.sim2sim.mapping import Pair
 from polypod.sim2sim.on_model import ModelComparison, Played
-from polypod.tables import Rows, console_of_output
+from polypod.tables import Rows, console_of_output, shown
 
 SHOWN = 14
 """Differences in the table."""
@@ -85,12 +85,12 @@ def _show_phases(comparison: ModelComparison) -> None:
     for ours, theirs in zip(comparison.polypod.phases, comparison.on_model.phases, strict=True):
         table.add_row(
             ours.phase,
-            *(_known(value, ".3f") for value in (ours.error_vel_xy, theirs.error_vel_xy)),
-            *(_known(value, ".3f") for value in (ours.error_vel_yaw, theirs.error_vel_yaw)),
-            *(_known(value, ".0%") for value in (ours.reached, theirs.reached)),
-            *(_known(value, ".3f") for value in (ours.drift, theirs.drift)),
-            *(_known(value, ".0%") for value in (ours.falls, theirs.falls)),
-            _known(theirs.worst_saturated, ".0%"),
+            *(shown(value, ".3f") for value in (ours.error_vel_xy, theirs.error_vel_xy)),
+            *(shown(value, ".3f") for value in (ours.error_vel_yaw, theirs.error_vel_yaw)),
+            *(shown(value, ".0%") for value in (ours.reached, theirs.reached)),
+            *(shown(value, ".3f") for value in (ours.drift, theirs.drift)),
+            *(shown(value, ".0%") for value in (ours.falls, theirs.falls)),
+            shown(theirs.worst_saturated, ".0%"),
         )
     console = console_of_output()
     table.print(console)
@@ -112,9 +112,9 @@ def _show_walking(comparison: ModelComparison) -> None:
             f"{figures.still_error_vel_xy:.3f}",
             f"{figures.error_vel_yaw:.3f}",
             f"{figures.still_error_vel_yaw:.3f}",
-            _known(math.nan if found is None else found.turn_reached, ".0%"),
-            _known(math.nan if found is None else found.side_reached, ".0%"),
-            _known(math.nan if found is None else found.drift_xy, ".3f"),
+            shown(math.nan if found is None else found.turn_reached, ".0%"),
+            shown(math.nan if found is None else found.side_reached, ".0%"),
+            shown(math.nan if found is None else found.drift_xy, ".3f"),
             f"{figures.fall_rate:.1%}",
             f"{figures.episode_length_s:.1f}",
         )
@@ -137,15 +137,11 @@ def _show_differences(differences: list[Difference]) -> None:
             entry.item,
             entry.ours,
             entry.theirs,
-            _known(entry.base, ".3f"),
-            _known(entry.heading, ".3f"),
-            _known(entry.joints, ".3f"),
+            shown(entry.base, ".3f"),
+            shown(entry.heading, ".3f"),
+            shown(entry.joints, ".3f"),
             "yes" if entry.falls else "no",
         )
     table.print(console)
     if len(differences) > SHOWN:
         console.print(f"{len(differences) - SHOWN} more are in --json", markup=False)
-
-
-def _known(value: float, form: str) -> str:
-    return "-" if math.isnan(value) else format(value, form)

@@ -3,7 +3,7 @@
 import math
 
 from polypod.sim2sim.run import Comparison, Figures
-from polypod.tables import Rows, console_of_output
+from polypod.tables import Rows, console_of_output, shown
 
 
 def show(comparison: Comparison) -> None:
@@ -51,5 +51,4 @@ def show(comparison: Comparison) -> None:
 
 def _known(figures: Figures, key: str, form: str) -> str:
     """A figure of walking; a dash where it was not measured."""
-    value = math.nan if figures.walking is None else getattr(figures.walking, key)
-    return "-" if math.isnan(value) else format(value, form)
+    return shown(math.nan if figures.walking is None else getattr(figures.walking, key), form)

@@ -10,7 +10,7 @@ from datetime import timedelta
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from polypod.evaluation import CONFIDENCE, Evaluation, Interval, RobotResult, Summary, walking
-from polypod.tables import Rows, console_of_output
+from polypod.tables import Rows, console_of_output, shown
 
 _PLAIN_INTERVAL_S = 10.0
 
@@ -196,9 +196,9 @@ def walking_cells(figures: walking.Walking) -> dict[str, str]:
         "still": f"{figures.still_error_vel_xy:.3f}",
         "err yaw": f"{figures.error_vel_yaw:.3f}",
         "still yaw": f"{figures.still_error_vel_yaw:.3f}",
-        "turn": _known(figures.turn_reached, ".0%"),
-        "drift": _known(figures.drift_xy, ".3f"),
-        "yaw drift": _known(figures.drift_yaw, ".3f"),
+        "turn": shown(figures.turn_reached, ".0%"),
+        "drift": shown(figures.drift_xy, ".3f"),
+        "yaw drift": shown(figures.drift_yaw, ".3f"),
         "falls": f"{figures.fall_rate:.1%}",
         "walks": "yes" if walking.walks(figures) else "no",
     }
@@ -221,10 +221,6 @@ def _figures(result: RobotResult) -> dict[str, str]:
         "CoT": f"{result.cost_of_transport:.2f}",
         "slip": f"{result.foot_slip:.2f}",
     }
-
-
-def _known(value: float, form: str) -> str:
-    return "-" if math.isnan(value) else format(value, form)
 
 
 def with_interval(interval: Interval, form: str) -> str:
