@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.evaluation import Evaluation
 from polypod.extras import package
 from polypod.files import read_bytes
@@ -29,7 +29,6 @@ from polypod.runs.run_dir import MANIFEST
 
 MAX_BYTES = 64 << 20
 """Largest size of a file of figures, bytes."""
-Array = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

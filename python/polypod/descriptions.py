@@ -24,9 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.observation import placed, terms_of
-
-Array = npt.NDArray[np.float64]
 
 TASK = "velocity_flat_any_legged"
 """Its observation describes every joint of any body."""

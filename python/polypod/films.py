@@ -10,13 +10,13 @@ import numpy as np
 import torch
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.networks import build_actor
 from polypod.networks.policies import NetworkPolicy
 from polypod.play.player import Player, aligned_starts
 from polypod.policy import load
 from polypod.render.film import Film
-from polypod.render.mesh import Array
 from polypod.render.raster import follow, picture, render, titled
 from polypod.render.scene import Frame, replay
 from polypod.sim2sim import Options as Comparison

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from polypod.arrays import Array
 
 
 def matrix(quaternion: npt.ArrayLike) -> Array:

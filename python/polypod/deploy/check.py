@@ -18,6 +18,7 @@ import numpy.typing as npt
 import torch
 
 from polypod import _core, bundled, rotations, runs
+from polypod.arrays import Array, Floats
 from polypod.deploy.onboard.policy_contract import Contract, ContractError
 from polypod.deploy.onboard.policy_loop import WALK, Command, Loop, Sensors, network_of, open_data
 from polypod.evaluation.results import finite
@@ -33,9 +34,7 @@ from polypod.observation import placed
 from polypod.policy import METADATA, load
 from polypod.runs import manifest as manifests
 from polypod.sim2sim import run
-from polypod.sim2sim.commands import Array, Commanded
-
-Floats = npt.NDArray[np.float32]
+from polypod.sim2sim.commands import Commanded
 
 BOUND = 1e-5
 """Largest difference of an observation and of an action, of 1 or the largest number of its kind in

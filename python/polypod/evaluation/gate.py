@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.evaluation import measures
 from polypod.evaluation.rollout import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
@@ -149,14 +150,14 @@ class _Motion:
     """Motion of the robots, by control steps and envs."""
 
     fell: npt.NDArray[np.bool_]
-    score: measures.Array
-    jerk: measures.Array
+    score: Array
+    jerk: Array
     """[steps, envs, slots], change of the actions."""
     is_on: npt.NDArray[np.bool_]
     """[steps, envs], whether the step before was of the same episode."""
-    rates: measures.Array
+    rates: Array
     """[steps, envs, 3], angular velocities of the bases."""
-    speeds: measures.Array
+    speeds: Array
     """[steps, envs, slots], speeds of the joints."""
 
 
@@ -187,6 +188,6 @@ def _run(sim: _core.VecSim, policy: Policy, commands: npt.NDArray[np.float32], s
     return _Motion(*(np.stack(of) for of in (fell, score, jerk, is_on, rates, speeds)))
 
 
-def _rms(values: measures.Array) -> float:
+def _rms(values: Array) -> float:
     """Root of the mean square; NaN without a value."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else float("nan")

@@ -4,8 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-
-Array = npt.NDArray[np.float64]
+from polypod.arrays import Array
 
 CONTACT_FORCE = 1.0
 """N, above which a foot is in contact: the threshold of the task's contact sensors."""

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.arrays import Array
 from polypod.descriptions import Distance
 from polypod.evaluation.walking import Walking
 from polypod.provenance import Measured
-
-Array = npt.NDArray[np.float64]
 
 FOLLOWS = 0.5, 0.2
 """An episode succeeds if the robot stays up and its planar velocity error, averaged over the

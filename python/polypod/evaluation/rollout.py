@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.evaluation import measures, walking
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.networks.policies import Policy, reset
@@ -168,14 +169,12 @@ def evaluate(
     )
 
 
-def _episode(
-    sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None
-) -> dict[str, measures.Array]:
+def _episode(sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None) -> dict[str, Array]:
     """Sums of `measures.of_step` over each env's first episode.
 
     `record` says and sees the commands.
     """
-    sums: dict[str, measures.Array] = {}
+    sums: dict[str, Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
     reset(policy)
     for step in range(length):

@@ -22,8 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-
-Array = npt.NDArray[np.float64]
+from polypod.arrays import Array
 
 EPISODE_S = 20.0
 """Length of an episode, s."""

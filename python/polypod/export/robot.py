@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Floats
 from polypod.compat import tomllib
 from polypod.export.sources import check
 from polypod.observation import Term, placed, terms_of
-
-Array = npt.NDArray[np.float32]
 
 INPUTS = {
     "base_lin_vel": "velocity of the base link's origin, base axes, m/s",
@@ -46,20 +45,20 @@ class RobotInterface:
     """Index of the joint in each of the robot's slots."""
     columns: npt.NDArray[np.int64]
     """Column of each of these slots in the policy's action."""
-    signs: Array
+    signs: Floats
     """Sign of each slot: 1, or -1 where the joint's own positive direction is opposite to the
     slot's."""
     action_names: tuple[str, ...]
     """Columns of the policy's action: slots, of which the robot has some."""
-    default_pose: Array
+    default_pose: Floats
     """Joint positions of the default pose, rad."""
     action_scale: float
     """rad per unit of action."""
-    base_com: Array
+    base_com: Floats
     """Centre of mass of the base in its frame, m: the task observes its velocity."""
-    constants: Mapping[str, Array]
+    constants: Mapping[str, Floats]
     """Values of the terms that describe the body, as the policy observes them."""
-    scan_points: Array
+    scan_points: Floats
     """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left,
     along its heading."""
     command_ranges: Mapping[str, Sequence[float]]
@@ -102,12 +101,12 @@ class RobotInterface:
         known = INPUTS.get(name) or OUTPUTS.get(name)
         return known or next(f"{term.description} {term.units}".strip() for term in self.terms if term.term == name)
 
-    def lever(self) -> Array:
+    def lever(self) -> Floats:
         """[3, 3], maps an angular velocity to the centre of mass' velocity about the origin."""
         x, y, z = self.base_com
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.float32)
 
-    def spread(self) -> Array:
+    def spread(self) -> Floats:
         """[num_actions, joints], `default_pose + action @ spread` are the joint targets."""
         spread = np.zeros((self.num_actions, len(self.joint_names)), dtype=np.float32)
         spread[self.columns, self.joint_of_slot] = self.action_scale * self.signs
@@ -117,7 +116,7 @@ class RobotInterface:
         """Whether the action has the robot's columns alone, and no joint's sign is turned."""
         return len(self.columns) == self.num_actions and bool((self.signs == 1.0).all())
 
-    def gather(self) -> Array:
+    def gather(self) -> Floats:
         """[joints, num_actions], maps numbers of joints to the policy's columns.
 
         Columns of other joints get 0.
@@ -126,7 +125,7 @@ class RobotInterface:
         gather[self.joint_of_slot, self.columns] = self.signs
         return gather
 
-    def mask(self) -> Array:
+    def mask(self) -> Floats:
         """[num_actions], 1 where the robot has a joint, else 0."""
         mask = np.zeros(self.num_actions, dtype=np.float32)
         mask[self.columns] = 1.0
@@ -209,7 +208,7 @@ def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> t
     return sim, configs
 
 
-def _scan_points(scanner: Mapping[str, Any] | None) -> Array:
+def _scan_points(scanner: Mapping[str, Any] | None) -> Floats:
     """From back to front and, row by row, from right to left, as the simulator counts them."""
     if scanner is None:
         return np.zeros((0, 2), dtype=np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Floats
 from polypod.files import read_bytes
 from polypod.networks.onnx_network import output_of
 from polypod.networks.onnx_session import OnnxSession
@@ -17,7 +18,6 @@ from polypod.runs.manifest import export_sums
 MAX_BYTES = 1 << 30
 """Largest size of a graph, bytes: twice that of the largest network that a manifest may
 describe."""
-Array = npt.NDArray[np.float32]
 
 
 class OnnxPolicy:
@@ -45,9 +45,9 @@ class OnnxPolicy:
             entry.name: _width(entry, name) for entry in entries if entry.name not in self.states
         }
         """Names and sizes of the others."""
-        self._memory: dict[str, Array] = {}
+        self._memory: dict[str, Floats] = {}
 
-    def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Array]:
+    def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Floats]:
         """Runs the graph on float32 [batch, size] per input.
 
         States that are not given are those after the call before, or zeros after `reset`. Raises

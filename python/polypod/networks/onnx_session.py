@@ -8,18 +8,14 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from polypod import _core
+from polypod.arrays import Floats
 from polypod.extras import package
 
 TELEMETRY = "ORT_DISABLE_TELEMETRY"
 """Environment variable that onnxruntime reads when it is imported."""
 _FATAL = 4
 """Severity from which on onnxruntime writes to standard error: what goes wrong is raised."""
-
-Array = npt.NDArray[np.float32]
 
 
 def runtime(purpose: str) -> Any:
@@ -62,10 +58,10 @@ class OnnxSession:
         """Each with `name`, `type` and `shape`."""
         self.metadata: Mapping[str, str] = self._session.get_modelmeta().custom_metadata_map
 
-    def run(self, outputs: Sequence[str], feeds: Mapping[str, Array]) -> list[Array]:
+    def run(self, outputs: Sequence[str], feeds: Mapping[str, Floats]) -> list[Floats]:
         """The outputs for inputs. Raises ConfigError for what the graph does not compute."""
         try:
-            found: list[Array] = self._session.run(list(outputs), dict(feeds))
+            found: list[Floats] = self._session.run(list(outputs), dict(feeds))
         except Exception as error:  # onnxruntime raises classes that it does not export
             raise _core.ConfigError(f"{self.name} is not run by onnxruntime: {_reason(error)}") from error
         return found

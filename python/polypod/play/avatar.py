@@ -12,12 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import rotations
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.play.looks import Look, Model
 from polypod.render.mesh import joined
 from polypod.render.raster import COMMAND, FORCE, FORCE_LENGTH, Color
 from polypod.render.scene import Contact, RobotFrame
-from polypod.rotations import Array
 
 VELOCITY: Color = (58, 110, 214)
 """Colour of the arrow of the measured velocity; the commanded one is green, as in films."""

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.extras import package
 from polypod.play.looks import Model
-from polypod.rotations import Array, matrix
+from polypod.rotations import matrix
 
 TOLERANCE = 0.02
 """Links of a description may be so far from the robot's, m; joints at zero."""

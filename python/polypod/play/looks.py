@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.arrays import Array
 from polypod.render import mesh
-from polypod.render.mesh import Array, Mesh
+from polypod.render.mesh import Mesh
 from polypod.render.raster import Color
 
 BODY: dict[str, Color] = {

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, descriptions, rotations
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
 from polypod.policy import load
-from polypod.render.mesh import Array
 from polypod.render.scene import Scene
 
 SPACING = 1.2

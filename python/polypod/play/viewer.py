@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.files import write_bytes
 from polypod.play import descriptions, looks
@@ -21,8 +22,6 @@ from polypod.render.ground import Ground
 from polypod.render.mesh import floor
 from polypod.render.raster import OBSTACLE, Color
 from polypod.render.scene import Frame
-
-Array = npt.NDArray[np.float64]
 
 HOST = "127.0.0.1"
 WORLD = "/world"

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from polypod.render.mesh import Array
+from polypod.arrays import Array
 
 NEAR = 0.1
 """Points nearer to the camera are not drawn, m."""

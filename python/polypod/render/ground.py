@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from polypod.render.mesh import Array
+from polypod.arrays import Array
 
 if TYPE_CHECKING:
     from polypod import _core

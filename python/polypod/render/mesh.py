@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import rotations
-from polypod.rotations import Array
+from polypod.arrays import Array
 
 ROUND = 12
 """Corners of a circle."""

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import rotations
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.render import relief
 from polypod.render.camera import NEAR, Camera, Lens
-from polypod.render.mesh import Array, Mesh, lit
+from polypod.render.mesh import Mesh, lit
 from polypod.render.scene import Frame, RobotFrame, Scene, arrow
 
 if TYPE_CHECKING:

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.render.camera import NEAR, Lens
 from polypod.render.ground import LARGEST_FACE, Ground
-from polypod.render.mesh import Array, Mesh, lit
+from polypod.render.mesh import Mesh, lit
 
 RADIUS = 9.0
 """Ground is drawn so far around the middle of the picture, m; it fades from two thirds of that

@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, rotations
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.render import mesh
 from polypod.render.ground import Ground
-from polypod.render.mesh import Array, Mesh
+from polypod.render.mesh import Mesh
 
 
 @dataclasses.dataclass(frozen=True)

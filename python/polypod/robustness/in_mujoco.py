@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.accuracy import robot as accuracy_robot
+from polypod.arrays import Floats
 from polypod.evaluation.walking import Record, Schedule
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -28,8 +29,6 @@ from polypod.sim2sim.maker import Choices, Maker
 
 AS_IS = 0
 """In place of `condim`: contacts of a maker's model as its file has them."""
-
-Floats = npt.NDArray[np.float32]
 
 
 @dataclasses.dataclass(frozen=True)

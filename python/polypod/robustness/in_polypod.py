@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Floats
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, play_task, undisturbed
 from polypod.evaluation.rollout import as_trained
@@ -18,7 +19,6 @@ from polypod.robustness import overrides, schedules
 from polypod.robustness.body import Body, bodies
 from polypod.robustness.conditions import Condition
 
-Floats = npt.NDArray[np.float32]
 Step = Callable[[int, int], None]
 """Called with the control steps done and those to do."""
 

@@ -8,10 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.evaluation.walking import Schedule
 from polypod.observation import columns_of
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

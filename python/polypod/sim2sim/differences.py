@@ -17,7 +17,7 @@ import numpy.typing as npt
 from polypod import rotations
 from polypod.accuracy.reference import mujoco
 from polypod.accuracy.robot import Robot
-from polypod.sim2sim.commands import Array
+from polypod.arrays import Array
 from polypod.sim2sim.driven import Driven
 from polypod.sim2sim.maker import Maker, Model, lowest
 from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton

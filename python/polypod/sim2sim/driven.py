@@ -22,15 +22,14 @@ import numpy.typing as npt
 from polypod import _core, rotations
 from polypod.accuracy.reference import GRAVITY, Heights, mujoco, states
 from polypod.accuracy.robot import Robot
+from polypod.arrays import Array, Floats
 from polypod.export.robot import RobotInterface
-from polypod.sim2sim.commands import Array
 
 FALL_FORCE = 1.0
 """Normal force on a shape of the base from which a robot has fallen, N: the task's own
 threshold."""
 
 
-Floats = npt.NDArray[np.float32]
 NetworkTorques = Callable[[Floats, Floats, Floats | None], tuple[Floats, Floats]]
 """`VecSim.network_torques` of a robot: from errors, velocities and memory to torques and memory."""
 

@@ -26,8 +26,8 @@ import numpy.typing as npt
 from polypod import _core, rotations
 from polypod.accuracy.reference import Heights, Reference, mujoco
 from polypod.accuracy.robot import Robot
+from polypod.arrays import Array
 from polypod.sim2sim import mapping, mjcf
-from polypod.sim2sim.commands import Array
 from polypod.sim2sim.driven import Drive, Driven
 from polypod.sim2sim.mapping import Given, JointMap
 from polypod.sim2sim.skeleton import BASE, Skeleton, is_below, joints_below, skeleton

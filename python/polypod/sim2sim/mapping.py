@@ -28,9 +28,9 @@ import numpy as np
 
 from polypod import _core, rotations
 from polypod.accuracy.reference import mujoco
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.files import read_bytes
-from polypod.sim2sim.commands import Array
 from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton
 
 GOOD = 0.6

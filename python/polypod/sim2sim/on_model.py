@@ -16,6 +16,7 @@ from polypod import _core, rotations
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.accuracy.reference import Reference
+from polypod.arrays import Array
 from polypod.evaluation import Policy, walking
 from polypod.evaluation.results import finite
 from polypod.export import onnx_graph
@@ -25,7 +26,7 @@ from polypod.files import read_bytes
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim import differences, maker, mapping, mjcf, phases, run
-from polypod.sim2sim.commands import Array, Commands
+from polypod.sim2sim.commands import Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
 from polypod.sim2sim.phases import PhaseFigures, PhaseRecord

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.evaluation.walking import BOX, SIDE, STOP, TURN, Schedule
-from polypod.sim2sim.commands import Array
 
 DEFAULT = "forward=0.8,turn=0.6,left=0.5,stop"
 """Speeds in m/s, turns in rad/s."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from polypod import _core, descriptions, rotations
 from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, Walking, play_task, undisturbed, walking
 from polypod.evaluation.results import finite
@@ -25,7 +26,7 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
 from polypod.provenance import Measured, measured
-from polypod.sim2sim.commands import Array, Commanded, Commands
+from polypod.sim2sim.commands import Commanded, Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.twin import Physics, Twin
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.play.player import SPACING
 from polypod.render.film import Film
 from polypod.render.raster import follow, render, titled
 from polypod.render.scene import Scene, replay
-from polypod.sim2sim.commands import Array
 from polypod.sim2sim.phases import PhaseFigures
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod.accuracy.reference import mujoco
-from polypod.sim2sim.commands import Array
+from polypod.arrays import Array
 
 BASE = -1
 """Stands for the base where the index of a joint is asked."""
