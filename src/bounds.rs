@@ -33,6 +33,8 @@ pub const MAX_DECIMATION: u32 = 1000;
 /// Longest delay of a joint's target, physics steps; usual are 0 to 10. Every env stores that many
 /// targets.
 pub const MAX_DELAY: u32 = 1000;
+/// Largest number of values that the caller of a simulation computes for one observation term.
+pub const MAX_EXTERNAL: u32 = 4096;
 /// Largest number of control steps that an observation term remembers; usual are 1 to 20.
 pub const MAX_HISTORY: u32 = 100;
 /// Largest number of materials from which a robot's is sampled; 64 is usual.

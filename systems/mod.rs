@@ -80,6 +80,7 @@ pub use load::{LoadPlugin, Share, distribute};
 pub use logs::{EpisodeStats, Logs, LogsPlugin, RobotLog};
 pub use mirror::MirrorPlugin;
 pub(crate) use mirror::mirror_all;
+pub(crate) use observe::observe_external;
 pub use observe::{ObservePlugin, add_observation};
 pub use physics::{PhysicsEngine, PhysicsPlugin, add_engine};
 pub(crate) use physics::{check_engine, load_engine, run_physics, save_engine};

@@ -11,10 +11,11 @@ use super::view::{RobotView, ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
 use crate::blocks::{Blocks, RowKind};
-use crate::components::{Env, EnvRng, Episode};
+use crate::components::{Env, EnvId, EnvRng, Episode, Morphology};
 use crate::config::quantities::Height;
 use crate::config::{TaskConfig, values};
 use crate::dynamics::lanes::Kernel;
+use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel, SlotJoint};
 use crate::options::Autoreset;
 use crate::workers::{MatrixRows, Workers};
@@ -122,6 +123,72 @@ impl Kernel<f32> for Observation<'_> {
             }
             rest = more;
         }
+    }
+}
+
+/// Writes the terms that the caller computes, with noise and history, to the rows of the mask, or to
+/// all. `values` are the present numbers of these terms side by side, `[num_envs, n]`.
+///
+/// # Errors
+/// Values or a mask of another length.
+pub(crate) fn observe_external(world: &mut World, values: &[f32], mask: Option<&[bool]>) -> Result<(), Error> {
+    world.resource_scope(|world, task: Mut<CompiledTask>| {
+        world.resource_scope(|world, morphologies: Mut<Morphologies>| {
+            world.resource_scope(|world, mut batch: Mut<Batch>| {
+                write_external(world, (&*task, &*morphologies, &mut *batch), values, mask)
+            })
+        })
+    })
+}
+
+fn write_external(
+    world: &mut World,
+    (task, morphologies, batch): (&CompiledTask, &Morphologies, &mut Batch),
+    values: &[f32],
+    mask: Option<&[bool]>,
+) -> Result<(), Error> {
+    let now = |term: &ObservationTerm| term.size / term.history;
+    let width: usize = task.observations.iter().filter(|term| term.is_external).map(now).sum();
+    if values.len() != width * batch.num_envs || mask.is_some_and(|mask| mask.len() != batch.num_envs) {
+        let problem = format!("{} numbers for {} envs of {width}", values.len(), batch.num_envs);
+        return Err(Error::argument("values", problem, "pass one row per env, and a mask with one entry per env"));
+    }
+    let columns = task.num_joints;
+    for (env, tag, episode, mut rng) in world.query::<(&EnvId, &Morphology, &Episode, &mut EnvRng)>().iter_mut(world) {
+        let (env, robot) = (env.0 as usize, morphologies.get(*tag));
+        if mask.is_some_and(|mask| !mask[env]) {
+            continue;
+        }
+        let mut rest = &mut batch.observations[env * batch.num_obs..(env + 1) * batch.num_obs];
+        let mut values = &values[env * width..(env + 1) * width];
+        for term in &task.observations {
+            let (row, more) = rest.split_at_mut(term.size);
+            rest = more;
+            if !term.is_external {
+                continue;
+            }
+            let (given, others) = values.split_at(now(term));
+            values = others;
+            if episode.invalid || !term.is_of(robot, &task.config) {
+                row.fill(0.0);
+                continue;
+            }
+            term.observe(row, episode.fresh, (robot, columns), &mut rng, |own| match term.spec.kind {
+                TermKind::PerJoint => gather(robot.slots.iter().map(SlotJoint::column), columns, given, own),
+                TermKind::PerFoot => gather(robot.foot_columns.iter().copied(), given.len(), given, own),
+                _ => own.copy_from_slice(given),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Takes the numbers of a robot's own joints or feet from the batch's columns: the reverse of
+/// [`spread`].
+fn gather(own_columns: impl Iterator<Item = usize> + Clone, columns: usize, from: &[f32], own: &mut [f32]) {
+    let all = from.chunks_exact(columns.max(1)).flat_map(|block| own_columns.clone().map(|column| block[column]));
+    for (to, number) in own.iter_mut().zip(all) {
+        *to = number;
     }
 }
 

@@ -171,6 +171,33 @@ class Learner:
                 that a diverged policy gives.
         """
 
+    def begin(self, iteration: int) -> None:
+        """Begins the samples of an iteration that its caller collects step by step.
+
+        `act`, a step of the simulation and `record` follow for each step, then `finish`: together
+        they are `collect`, bit for bit, with the caller's work between the steps.
+        """
+
+    def act(self, sim: VecSim) -> npt.NDArray[np.float32]:
+        """Draws the actions [num_envs, num_actions] of the next step for the observations of `sim`.
+
+        Raises ConfigError for another simulation, and ValueError out of turn.
+        """
+
+    def record(
+        self,
+        rewards: npt.NDArray[np.float32],
+        terminated: npt.NDArray[np.bool_],
+        truncated: npt.NDArray[np.bool_],
+    ) -> None:
+        """Stores the outcome of the step, [num_envs] each. Raises ValueError out of turn."""
+
+    def finish(self, sim: VecSim) -> list[tuple[int, int, float, float]]:
+        """Estimates the advantages of the iteration; returns what `collect` does.
+
+        Raises ConfigError for another simulation, and ValueError where steps are left.
+        """
+
     def set_goals(self, entropy_coef: float, desired_kl: float | None) -> None:
         """Changes what the coming updates aim at.
 
@@ -662,6 +689,59 @@ class VecSim:
         """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller.
 
         None releases them.
+        """
+
+    def observe_external(self, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_] | None = None) -> None:
+        """Writes the observation terms that the task declares as `external`.
+
+        Called once after each step, and after a reset with its mask; `step` refuses to go on
+        without. Noise, limits, factor and history are the task's.
+
+        Args:
+            values: float32 [num_envs, n], the present numbers of these terms side by side, in the
+                order of the groups.
+            mask: bool [num_envs], the envs to observe; None: all.
+
+        Raises:
+            TypeError: for another dtype.
+            ValueError: for another shape.
+            ConfigError: for a number that is not finite.
+        """
+
+    def set_reward_weight(self, robot: str, term: str, weight: float) -> None:
+        """Sets the weight of a reward term of the robot's set from the next step on.
+
+        Snapshots do not hold it. Raises UnknownNameError for another robot, and ConfigError for
+        another term and for a weight out of range.
+        """
+
+    def reward_weights(self, robot: str) -> dict[str, float]:
+        """Weights of the reward terms of the robot's set. Raises UnknownNameError."""
+
+    def set_command_ranges(
+        self,
+        robot: str,
+        *,
+        lin_vel_x: Sequence[float] | None = None,
+        lin_vel_y: Sequence[float] | None = None,
+        ang_vel_z: Sequence[float] | None = None,
+    ) -> None:
+        """Sets ranges [lower, upper] of the robot's velocity commands, m/s and rad/s.
+
+        Commands that are sampled later lie in them. None leaves a range as it is. Snapshots do not
+        hold them. Raises UnknownNameError for another robot, and ConfigError for a range that is
+        none.
+        """
+
+    def set_terrain_levels(self, levels: npt.NDArray[np.int64]) -> None:
+        """Moves envs to levels of the terrain, int64 [num_envs]; a negative one leaves an env.
+
+        Reset the envs that are moved before the next step.
+
+        Raises:
+            TypeError: for another dtype.
+            ValueError: for another shape.
+            ConfigError: for a level that the terrain lacks, and for a task without levels.
         """
 
     def push(self, velocity: npt.NDArray[np.float32]) -> None:

@@ -1,15 +1,23 @@
-"""Rewards, terminations and observations of one's own, written in Python.
+"""Terms of a task in Python: observations, commands, rewards, terminations, events, curricula.
 
+A file declares them, and `polypod train --terms my_task.py` or `polypod.make(..., terms="my_task.py")`
+adds them to a task:
+
+>>> import numpy as np
+>>> from polypod import terms
+>>> @terms.reward(weight=-10.0)
+... def base_height_l2(env):
+...     return (env.base_height - 0.3) ** 2
+>>> @terms.observation(size=1, units="m", history_length=3)
+... def base_height(env):
+...     return env.base_height
 >>> import polypod
->>> from polypod.terms import CustomTerms, Reward
->>> def base_height_l2(state):
-...     return (state.base_height - 0.3) ** 2
->>> env = polypod.make("velocity_flat", num_envs=256, robots=["unitree_go2"], autoreset="disabled")
->>> env = CustomTerms(env, rewards={"base_height_l2": Reward(base_height_l2, weight=-10.0)})
+>>> env = polypod.make("velocity_flat", 4, robots=["unitree_go2"], terms=[base_height_l2, base_height])
+
+`CustomTerms` adds rewards, terminations and observations to an env that is made without.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -19,29 +27,58 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from polypod._core import ConfigError, UnknownNameError, VecSim
+from polypod.python_terms import (
+    Command,
+    Curriculum,
+    EnvRandom,
+    Event,
+    Memory,
+    Metric,
+    Observation,
+    Reward,
+    TermEnv,
+    Termination,
+    Terms,
+    command,
+    curriculum,
+    event,
+    load,
+    memory,
+    metric,
+    observation,
+    reward,
+    termination,
+)
+from polypod.python_terms.checks import LARGEST, Checks
 from polypod.state import State
 from polypod.vector_env import VectorEnv
 
+__all__ = [
+    "Command",
+    "Curriculum",
+    "CustomTerms",
+    "EnvRandom",
+    "Event",
+    "Memory",
+    "Metric",
+    "Observation",
+    "Reward",
+    "TermEnv",
+    "Termination",
+    "Terms",
+    "command",
+    "curriculum",
+    "event",
+    "load",
+    "memory",
+    "metric",
+    "observation",
+    "reward",
+    "termination",
+]
+
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
-
-_LARGEST = float(np.finfo(np.float32).max)
-"""Largest number of float32."""
-
-
-@dataclass(frozen=True)
-class Reward:
-    """A reward term: `weight * function(state) * step_dt` is added to the reward of each step.
-
-    Attributes:
-        function: the unweighted value per second, a number per env: [num_envs].
-        weight: its factor.
-        robots: names of the robots that are rewarded by it; None: all.
-    """
-
-    function: Callable[[State], npt.ArrayLike]
-    weight: float
-    robots: Sequence[str] | None = None
 
 
 if TYPE_CHECKING:
@@ -99,7 +136,8 @@ class CustomTerms(_VectorWrapper):
                 f"this env has {env.autoreset_mode}, which resets before a term could see the last state; "
                 "build it with polypod.make(..., autoreset='disabled')"
             )
-        self._source = f"{source}: " if source else ""
+        self._checks = Checks(source)
+        self._source = self._checks.begin
         self.rewards = dict(rewards or {})
         self.terminations = dict(terminations or {})
         self.observations = dict(observations or {})
@@ -205,10 +243,10 @@ class CustomTerms(_VectorWrapper):
 
     def _factors(self, name: str, term: Reward) -> npt.NDArray[np.float64]:
         what = f"rewards[{name!r}].weight"
-        weight = self._numbers(what, term.weight)
+        weight = self._checks.numbers(what, term.weight)
         if weight.ndim:
             raise ConfigError(f"{self._source}{what} is an array of shape {weight.shape}; pass one number")
-        self._check_finite(what, weight)
+        self._checks.finite(what, weight)
         factors = np.full(self.env.num_envs, float(weight) * self.env.step_dt)
         if term.robots is not None:
             rewarded = np.zeros(self.env.num_envs, dtype=np.bool_)
@@ -228,26 +266,20 @@ class CustomTerms(_VectorWrapper):
             valid = self._state.valid
             for name, term in self.rewards.items():
                 what = f"rewards[{name!r}]"
-                value = self._numbers(what, term.function(self._state))
-                self._check(what, value.shape, (self.env.num_envs,))
                 # a broken robot is worth nothing, nor is one whom the term does not reward
-                value = np.where(valid & (self._factor[name] != 0.0), value, 0.0)
-                self._check_finite(what, value)
+                value = self._checks.per_env(what, term.function(self._state), valid & (self._factor[name] != 0.0))
                 value *= self._factor[name]
-                self._check_finite(f"{what} times its weight and step_dt", value)
+                self._checks.finite(f"{what} times its weight and step_dt", value)
                 self._sums[name] += value
                 total += value
-            self._check_finite("the sum of rewards", total)
+            self._checks.finite("the sum of rewards", total)
         return total.astype(np.float32)
 
     def _ended(self) -> BoolArray:
         ends = np.zeros(self.env.num_envs, dtype=np.bool_)
         for name, term in self.terminations.items():
             what = f"terminations[{name!r}]"
-            mine = self._array(what, term(self._state))
-            if mine.dtype != np.bool_:
-                raise ConfigError(f"{self._source}{what} gives {mine.dtype}; return bools, e.g. of a comparison")
-            self._check(what, mine.shape, (self.env.num_envs,))
+            mine = self._checks.flags(what, term(self._state), self.env.num_envs)
             self._causes[name] = mine
             ends |= mine
         return ends
@@ -258,43 +290,17 @@ class CustomTerms(_VectorWrapper):
 
     def _columns(self, name: str, term: Callable[[State], npt.ArrayLike]) -> FloatArray:
         what = f"observations[{name!r}]"
-        values = self._numbers(what, term(self._state))
+        values = self._checks.numbers(what, term(self._state))
         if values.ndim == 1:
             values = values[:, np.newaxis]
         if values.ndim != 2:
             raise ConfigError(f"{self._source}{what} gives {values.ndim} dimensions; return [num_envs, n]")
-        self._check(what, values.shape, (self.env.num_envs, self._widths.setdefault(name, values.shape[1])))
-        if not (np.abs(values) <= _LARGEST).all():
+        self._checks.shape(what, values.shape, (self.env.num_envs, self._widths.setdefault(name, values.shape[1])))
+        if not (np.abs(values) <= LARGEST).all():
             # a broken robot has nothing to observe
             values = np.where(self._state.valid[:, np.newaxis], values, 0.0)
-            self._check_finite(what, values)
+            self._checks.finite(what, values)
         return values.astype(np.float32)
-
-    def _array(self, what: str, value: Any) -> npt.NDArray[Any]:
-        """Returns a term's value as an array. Raises ConfigError, which begins with `what`."""
-        try:
-            return np.asarray(value)
-        except Exception as error:  # from the caller's type, such as a tensor that wants a gradient
-            raise ConfigError(f"{self._source}{what} gives no array: {error}; return a NumPy array") from error
-
-    def _numbers(self, what: str, value: Any) -> npt.NDArray[np.float64]:
-        """The same as numbers."""
-        array = self._array(what, value)
-        if array.dtype.kind not in "fiub":
-            raise ConfigError(f"{self._source}{what} gives {array.dtype}; return numbers")
-        return array.astype(np.float64)
-
-    def _check(self, what: str, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:
-        if found != wanted:
-            raise ConfigError(f"{self._source}{what} gives shape {found}; return one row per env, {wanted}")
-
-    def _check_finite(self, what: str, values: npt.NDArray[np.float64]) -> None:
-        """Raises ConfigError for numbers that are not finite in float32."""
-        wrong = ~(np.abs(values) <= _LARGEST)
-        if wrong.any():
-            place = np.argwhere(wrong)[0]
-            where = f"gives {values[tuple(place)]:.6g} for env {place[0]}" if place.size else f"is {values:.6g}"
-            raise ConfigError(f"{self._source}{what} {where}; only finite numbers that float32 holds are taken")
 
     def _rows_replaced(self, infos: dict[str, Any], others: dict[str, Any], rows: BoolArray) -> dict[str, Any]:
         """Infos with the rows of the mask from others; entries without rows are the others'."""

@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 import gymnasium
@@ -18,6 +19,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from polypod import _core
+from polypod.python_terms import Declared, Memory, Terms, TermSim, load
+from polypod.python_terms.declarations import declared_by
 from polypod.registration import NAMESPACE, num_robots, task_of
 from polypod.state import State
 
@@ -67,6 +70,9 @@ class EnvOptions(TypedDict, total=False):
     dump_dir: str | os.PathLike[str] | None
     """Directory for a dump of the first state of each robot that breaks; `polypod-sim replay` steps
     it again. None, the default: no dump."""
+    terms: "str | os.PathLike[str] | Terms | Sequence[Declared | Memory] | None"
+    """Terms of the task that are written in Python, see `polypod.terms`: their file, or their
+    declarations. None, the default: no such terms."""
     slots: Sequence[str]
     """Names of actions that the batch has on top of its robots' own: those of a policy that knows
     other robots too."""
@@ -80,8 +86,8 @@ def make(task_id: str, num_envs: int | None = None, **options: "Unpack[EnvOption
             its Gymnasium id.
         num_envs: number of envs, at least one per robot. Each robot gets an equal, contiguous
             share. None: one env per robot.
-        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir
-            and slots; `EnvOptions` documents them.
+        **options: robots, seed, autoreset, threads, copy, overrides, render_mode, share, dump_dir,
+            terms and slots; `EnvOptions` documents them.
 
     Raises:
         ConfigError: for an unknown task or robot, too few envs, an unknown key or a value out of
@@ -142,7 +148,8 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         if num_envs is None:
             num_envs = num_robots(task, overrides) if robots is None else len(robots)
         self._sim: _core.VecSim | None
-        self._sim = _core.VecSim(
+        self._sim = simulator(
+            terms_of(options.get("terms")),
             task,
             _index(num_envs, "num_envs"),
             robots=None if robots is None else list(robots),
@@ -442,6 +449,38 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             raise _core.ConfigError(f"options['reset_mask'] has shape {mask.shape}; it must be ({self.num_envs},)")
         if not mask.any():
             raise _core.ConfigError("options['reset_mask'] selects no env; leave the call out or set at least one True")
+
+
+def terms_of(terms: "str | os.PathLike[str] | Terms | Sequence[Declared | Memory] | None") -> Terms | None:
+    """Terms of a file, or of declarations. Raises ConfigError as `polypod.terms.load`."""
+    if terms is None or isinstance(terms, Terms):
+        return terms
+    if isinstance(terms, str | os.PathLike):
+        return load(Path(terms))
+    declared = list(declared_by(terms))
+    if len(declared) != len(terms):
+        raise _core.ConfigError(
+            "terms holds what is no declaration; put a decorator of polypod.terms above each function"
+        )
+    return Terms.of(declared)
+
+
+def simulator(terms: Terms | None, task: str, num_envs: int, *, play: bool = False, **options: Any) -> _core.VecSim:
+    """A `VecSim`, with terms in Python if there are any.
+
+    Args:
+        terms: the terms; None: there are none.
+        task: as in `VecSim`, and so are `num_envs` and the options.
+        num_envs: number of envs.
+        play: leave out curricula and the events that are not for play.
+        **options: see `VecSim`.
+
+    Raises:
+        ConfigError: as `VecSim` and `polypod.python_terms.TermSim`.
+    """
+    if terms is None:
+        return _core.VecSim(task, num_envs, **options)
+    return TermSim(task, num_envs, terms=terms, play=play, **options)
 
 
 def override_texts(overrides: Overrides) -> list[str]:

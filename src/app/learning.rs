@@ -152,6 +152,34 @@ impl Sim {
         Ok(episodes)
     }
 
+    /// Draws the actions of a step of [`Sim::collect`], for a caller who steps the simulation
+    /// between [`Learner::begin`] and [`Sim::finish_rollout`]; [`Learner::record`] is told the
+    /// outcome.
+    ///
+    /// # Errors
+    /// A learner of another simulation, or actions of another size.
+    ///
+    /// # Panics
+    /// If all steps of the iteration are taken.
+    pub fn act(&self, learner: &mut Learner, actions: &mut [f32]) -> Result<(), Error> {
+        self.check_learner(learner)?;
+        if actions.len() != self.batch().actions.len() {
+            let problem = format!("{} numbers, not {}", actions.len(), self.batch().actions.len());
+            return Err(Error::argument("actions", problem, "pass room for one row of actions per env"));
+        }
+        learner.act(self.world().resource::<Workers>(), &self.batch().observations, actions);
+        Ok(())
+    }
+
+    /// Estimates values and advantages of the steps that were taken with [`Sim::act`].
+    ///
+    /// # Errors
+    /// A learner of another simulation, or another worker that is gone.
+    pub fn finish_rollout(&self, learner: &mut Learner) -> Result<(), Error> {
+        self.check_learner(learner)?;
+        Ok(learner.finish_rollout(self.world().resource::<Workers>(), &self.batch().observations)?)
+    }
+
     /// Learns from the samples of the iteration, with this simulation's threads.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! A simulation of many envs: a headless Bevy app that is stepped by its caller.
 
 pub mod dump;
+mod external;
 mod learning;
 mod sim_queries;
 pub mod snapshot;
@@ -36,6 +37,8 @@ pub struct Sim {
     world: World,
     seed: u64,
     dump_dir: Option<PathBuf>,
+    /// Whether the terms that the caller computes are still those of the step before.
+    lacks_external: bool,
 }
 
 impl Sim {
@@ -83,7 +86,7 @@ impl Sim {
             initialise(&mut world, label)?;
         }
         run(&mut world, Setup)?;
-        let mut sim = Self { world, seed: options.seed, dump_dir: None };
+        let mut sim = Self { world, seed: options.seed, dump_dir: None, lacks_external: false };
         sim.set_dump_dir(options.dump_dir)?;
         sim.reset(Some(options.seed), None)?;
         Ok(sim)
@@ -97,6 +100,13 @@ impl Sim {
     /// simulation is then as it was. Or a system failed: the sets of the pipeline after it have not
     /// run then.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
+        if self.lacks_external {
+            let terms = self.task().external_terms().join(", ");
+            let problem = format!("the terms {terms} are computed by the simulation's caller, who gave no numbers");
+            let remedy = "in Python: name their file, --terms FILE or polypod.make(..., terms=FILE); in Rust: call \
+                          Sim::observe_external after each step and reset";
+            return Err(Error::argument("observations", problem, remedy));
+        }
         let batch = self.batch();
         if actions.len() != batch.actions.len() {
             return Err(Error::argument(
@@ -120,6 +130,7 @@ impl Sim {
         self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
         self.world.resource_mut::<ResetRequest>().0 = false;
         run(&mut self.world, ControlStep)?;
+        self.lacks_external = !self.task().external_terms().is_empty();
         self.dump_broken_states();
         Ok(())
     }
@@ -164,7 +175,9 @@ impl Sim {
             episode.fresh = false;
         }
         self.world.resource_mut::<ResetRequest>().0 = true;
-        run(&mut self.world, ResetEnvs)
+        run(&mut self.world, ResetEnvs)?;
+        self.lacks_external = !self.task().external_terms().is_empty();
+        Ok(())
     }
 
     fn start_anew(&mut self) -> Result<(), Error> {

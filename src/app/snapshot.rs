@@ -119,6 +119,7 @@ impl Sim {
             self.world.insert_resource(logs);
         }
         self.seed = snapshot.seed;
+        self.lacks_external = false;
         load_engine(&mut self.world, &engine)?;
         mirror_all(&mut self.world)?;
         SavedComponents::measure(&mut self.world)

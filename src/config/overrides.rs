@@ -14,10 +14,13 @@ const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 2] = ["scene.terrain", "sensors.height_scanner"];
 
+/// Key of the place after the last element of an array.
+const APPEND: &str = "+";
+
 /// Writes one override into `resolved`, the config with all its defaults spelled out, and returns
 /// the path it wrote to. Every table on the way must exist; whether a new last key is a known one
-/// is left to the types. Elements of an array are named by index, `name` or `term`. The value is
-/// TOML, or a bare word, which is a string; `null` or `~` removes the key.
+/// is left to the types. Elements of an array are named by index, `name` or `term`; `+` appends
+/// one. The value is TOML, or a bare word, which is a string; `null` or `~` removes the key.
 ///
 /// # Errors
 /// No `=`, an unknown key, a value that is not TOML.
@@ -44,7 +47,8 @@ pub fn apply(resolved: &mut Table, text: &str) -> Result<String, ConfigError> {
     let mut walked: Vec<String> = Vec::with_capacity(keys.len());
     // One value type on the way down; taken back at the end, unless something fails.
     let mut root = Value::Table(resolved.clone());
-    let written = descend(&mut root, parents, &mut walked).and_then(|parent| write(parent, last, value, &mut walked));
+    let written =
+        descend(&mut root, parents, last, &mut walked).and_then(|parent| write(parent, last, value, &mut walked));
     written?;
     if let Value::Table(table) = root {
         *resolved = table;
@@ -74,12 +78,22 @@ fn parse_value(path: &str, text: &str) -> Result<Option<Value>, ConfigError> {
 }
 
 /// Follows `keys` down from `node`.
-fn descend<'a>(mut node: &'a mut Value, keys: &[&str], walked: &mut Vec<String>) -> Result<&'a mut Value, ConfigError> {
+///
+/// A group of observations that the task lacks is made where `last` appends a term to it.
+fn descend<'a>(
+    mut node: &'a mut Value,
+    keys: &[&str],
+    last: &str,
+    walked: &mut Vec<String>,
+) -> Result<&'a mut Value, ConfigError> {
     for key in keys {
         node = match node {
             Value::Table(table) => {
                 if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                }
+                if *walked == ["observations"] && last == APPEND {
+                    table.entry(*key).or_insert_with(|| Value::Array(Vec::new()));
                 }
                 if !table.contains_key(*key) {
                     let here = dotted(walked, key);
@@ -119,6 +133,10 @@ fn write(node: &mut Value, key: &str, value: Option<Value>, walked: &mut Vec<Str
                 return Err(unknown(key, table.keys().map(String::as_str), walked));
             }
             walked.push(key.to_owned());
+        }
+        (Value::Array(items), Some(value)) if key == APPEND => {
+            walked.push(items.len().to_string());
+            items.push(value);
         }
         (Value::Array(items), value) => {
             let index = index_of(items, key, walked)?;
@@ -188,6 +206,7 @@ mod tests {
     fn values_are_toml_or_bare_words() {
         assert_eq!(set("sim.dt=0.5").unwrap()["sim"]["dt"].as_float(), Some(0.5));
         assert_eq!(set("engine=b").unwrap()["engine"].as_str(), Some("b"));
+        assert_eq!(set("policy.+={ term = \"z\" }").unwrap()["policy"][2]["term"].as_str(), Some("z"));
         assert_eq!(set("policy.y.noise=[1]").unwrap()["policy"][1]["noise"][0].as_integer(), Some(1));
         assert!(set("sim.dt=[1,").is_err());
         assert!(set("sim.dt").is_err());

@@ -17,7 +17,7 @@ use super::quantities::{
 use super::scene::{ObstacleConfig, SceneConfig};
 use super::suggest::{did_you_mean, is_slip};
 use super::values;
-use crate::bounds::{MAX_DECIMATION, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
+use crate::bounds::{MAX_DECIMATION, MAX_EXTERNAL, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
 
 /// Commands, scene and rewards of the robots. SI units; world z up, base x forward, y left.
@@ -385,13 +385,58 @@ pub struct ObservationTerm {
     /// the present one alone.
     #[serde(default = "one_step", skip_serializing_if = "is_one_step")]
     pub history_length: u32,
+    /// Declaration of a term that the simulation's caller computes. Default: none, the term is
+    /// built in or a plugin's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub external: Option<ExternalConfig>,
     /// The remaining keys, for [`parse_params`](super::parse_params).
     #[serde(flatten, deserialize_with = "observation_params")]
     pub params: Table,
 }
 
 fn observation_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["term", "noise", "error", "clip", "scale", "history_length"])
+    params_beside(deserializer, &["term", "noise", "error", "clip", "scale", "history_length", "external"])
+}
+
+/// Declaration of an observation term that the simulation's caller computes after each control
+/// step, such as a function in Python.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExternalConfig {
+    /// Number of values of a control step; of each joint or foot with those kinds.
+    #[serde(deserialize_with = "values::count_up_to::<MAX_EXTERNAL, _>")]
+    pub size: u32,
+    /// How the numbers change in a mirror. Default: not at all.
+    #[serde(default)]
+    pub kind: ExternalKind,
+    /// SI units. Default: none.
+    #[serde(default)]
+    pub units: String,
+    /// Meaning, with the frame. Default: none.
+    #[serde(default)]
+    pub description: String,
+    /// Names of the robots that have the term; the others have zeros. Default: all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub robots: Vec<String>,
+}
+
+/// Kind of the numbers of a term: how they change in a mirror that exchanges left and right.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ExternalKind {
+    /// Numbers that a mirror leaves alone.
+    #[default]
+    Scalar,
+    /// Vectors x, y, z.
+    Vector,
+    /// Pseudovectors x, y, z, such as an angular velocity.
+    Pseudovector,
+    /// Forward and left velocity and yaw rate.
+    PlanarVelocity,
+    /// Numbers of each joint, in the batch's columns.
+    PerJoint,
+    /// A number of each foot, in the batch's columns.
+    PerFoot,
 }
 
 /// One randomisation or disturbance.

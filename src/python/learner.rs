@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1};
+use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadwriteArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -21,6 +21,19 @@ type Network<'py> = (Arrays<'py, f32>, Arrays<'py, f32>, Arrays<'py, f32>, u64);
 pub(super) struct Learner {
     learner: Guarded<learner::Learner>,
     raised: Raised,
+    /// Steps of an iteration that is collected step by step.
+    steps: Steps,
+}
+
+/// Steps of an iteration that its caller takes.
+#[derive(Default)]
+struct Steps {
+    /// Number that are left.
+    left: usize,
+    /// Whether actions were drawn whose outcome is still unknown.
+    acted: bool,
+    /// Episodes that ended.
+    ended: Vec<learner::Episode>,
 }
 
 /// Exception of a call into Python while the learner was at work.
@@ -100,7 +113,7 @@ impl Learner {
             Some(peers) => sim.learner_of_worker(options, worker, peers),
             None => sim.learner(options),
         })?;
-        Ok(Self { learner: Guarded::new(py, || learner, to_python)?, raised })
+        Ok(Self { learner: Guarded::new(py, || learner, to_python)?, raised, steps: Steps::default() })
     }
 
     #[doc = docstring!("Learner.collect")]
@@ -115,9 +128,62 @@ impl Learner {
         let iteration = unsigned(py, "iteration", iteration)?;
         let learner = &mut self.learner;
         let episodes = sim.run(py, |sim| learner.try_run(|learner| sim.collect(learner, iteration, clip_actions)))?;
-        let mut episodes = episodes.map_err(|error| self.exception(py, error))?;
-        episodes.sort_by_key(|episode| (episode.step, episode.env));
-        Ok(episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect())
+        Ok(in_order(episodes.map_err(|error| self.exception(py, error))?))
+    }
+
+    #[doc = docstring!("Learner.begin")]
+    fn begin(&mut self, py: Python<'_>, #[pyo3(from_py_with = whole)] iteration: i128) -> PyResult<()> {
+        let iteration = unsigned(py, "iteration", iteration)?;
+        let left = self.learner.settings().options.num_steps_per_env;
+        self.steps = Steps { left, ..Steps::default() };
+        self.learner.run(py, |learner| learner.begin(iteration))
+    }
+
+    #[doc = docstring!("Learner.act")]
+    fn act<'py>(&mut self, py: Python<'py>, sim: &VecSim) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        if self.steps.left == 0 || self.steps.acted {
+            return Err(value_error(
+                "act: no step of the iteration is due; call begin, then act and record in turn".into(),
+            ));
+        }
+        let shape = [sim.sim().num_envs(), sim.sim().batch().num_actions];
+        let actions = PyArray2::<f32>::zeros(py, shape, false);
+        let mut out = actions.try_readwrite()?;
+        let (out, learner) = (out.as_slice_mut()?, &mut self.learner);
+        let drawn = sim.sim().look(py, |sim| learner.try_run(|learner| sim.act(learner, out)))?;
+        drawn.map_err(|error| to_python(py, error))?;
+        self.steps.acted = true;
+        Ok(actions)
+    }
+
+    #[doc = docstring!("Learner.record")]
+    fn record(
+        &mut self,
+        py: Python<'_>,
+        rewards: PyReadonlyArray1<f32>,
+        terminated: PyReadonlyArray1<bool>,
+        truncated: PyReadonlyArray1<bool>,
+    ) -> PyResult<()> {
+        let (rewards, terminated, truncated) = (rewards.as_slice()?, terminated.as_slice()?, truncated.as_slice()?);
+        let envs = self.learner.num_own_envs();
+        if !self.steps.acted || [rewards.len(), terminated.len(), truncated.len()] != [envs; 3] {
+            return Err(value_error(format!("record: pass a number for each of {envs} envs, once after act")));
+        }
+        let ended = &mut self.steps.ended;
+        self.learner.run(py, |learner| learner.record(rewards, terminated, truncated, ended))?;
+        (self.steps.left, self.steps.acted) = (self.steps.left - 1, false);
+        Ok(())
+    }
+
+    #[doc = docstring!("Learner.finish")]
+    fn finish(&mut self, py: Python<'_>, sim: &VecSim) -> PyResult<Vec<(usize, usize, f32, f32)>> {
+        if self.steps.left > 0 || self.steps.acted {
+            return Err(value_error("finish: steps of the iteration are left; call act and record for each".into()));
+        }
+        let learner = &mut self.learner;
+        let finished = sim.sim().look(py, |sim| learner.try_run(|learner| sim.finish_rollout(learner)))?;
+        finished.map_err(|error| self.exception(py, error))?;
+        Ok(in_order(std::mem::take(&mut self.steps.ended)))
     }
 
     #[doc = docstring!("Learner.update")]
@@ -286,6 +352,12 @@ impl Learner {
         into.set_item("batch_sizes", PyArray1::from_vec(py, self.learner.batch_sizes()))?;
         Ok(into)
     }
+}
+
+/// Episodes that ended, by step and env: both of them, the sum of rewards, and the length.
+fn in_order(mut episodes: Vec<learner::Episode>) -> Vec<(usize, usize, f32, f32)> {
+    episodes.sort_by_key(|episode| (episode.step, episode.env));
+    episodes.into_iter().map(|episode| (episode.step, episode.env, episode.reward, episode.length)).collect()
 }
 
 /// The array of this name, or a new one.

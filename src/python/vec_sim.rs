@@ -38,7 +38,7 @@ struct Arrays {
 }
 
 #[doc = docstring!("VecSim")]
-#[pyclass(module = "polypod._core")]
+#[pyclass(module = "polypod._core", subclass)]
 pub(super) struct VecSim {
     sim: Guarded<Sim>,
     arrays: Arrays,
@@ -710,6 +710,58 @@ impl VecSim {
         self.publish_commands(py)
     }
 
+    #[doc = docstring!("VecSim.observe_external")]
+    #[pyo3(signature = (values, mask=None))]
+    fn observe_external(
+        &mut self,
+        py: Python<'_>,
+        values: &Bound<'_, PyAny>,
+        mask: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let values = array::<f32, numpy::Ix2>("values", values, "float32", &[n, self.sim.num_external()])?;
+        let values = values.as_slice()?;
+        let mask = mask.map(|mask| array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])).transpose()?;
+        let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
+        self.sim.run(py, |sim| sim.observe_external(values, mask))?.map_err(|error| to_python(py, error))?;
+        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
+        fill(py, workers, &self.arrays.observations[self.arrays.current], &batch.observations)
+    }
+
+    #[doc = docstring!("VecSim.set_reward_weight")]
+    fn set_reward_weight(&mut self, py: Python<'_>, robot: &str, term: &str, weight: f64) -> PyResult<()> {
+        let index = self.robot_index(py, robot)?;
+        self.sim.run(py, |sim| sim.set_reward_weight(index, term, weight))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.set_command_ranges")]
+    #[pyo3(signature = (robot, *, lin_vel_x=None, lin_vel_y=None, ang_vel_z=None))]
+    fn set_command_ranges(
+        &mut self,
+        py: Python<'_>,
+        robot: &str,
+        lin_vel_x: Option<[f64; 2]>,
+        lin_vel_y: Option<[f64; 2]>,
+        ang_vel_z: Option<[f64; 2]>,
+    ) -> PyResult<()> {
+        let index = self.robot_index(py, robot)?;
+        let now = &self.sim.velocity_commands()[index];
+        let ranges = [
+            lin_vel_x.unwrap_or(now.lin_vel_x),
+            lin_vel_y.unwrap_or(now.lin_vel_y),
+            ang_vel_z.unwrap_or(now.ang_vel_z),
+        ];
+        self.sim.run(py, |sim| sim.set_command_ranges(index, ranges))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.set_terrain_levels")]
+    fn set_terrain_levels(&mut self, py: Python<'_>, levels: &Bound<'_, PyAny>) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let levels = array::<i64, numpy::Ix1>("levels", levels, "int64", &[n])?;
+        let levels = levels.as_slice()?;
+        self.sim.run(py, |sim| sim.set_terrain_levels(levels))?.map_err(|error| to_python(py, error))
+    }
+
     #[doc = docstring!("VecSim.push")]
     fn push(&mut self, py: Python<'_>, velocity: &Bound<'_, PyAny>) -> PyResult<()> {
         let n = self.sim.num_envs();
@@ -721,6 +773,12 @@ impl VecSim {
     #[doc = docstring!("VecSim.reward_terms")]
     fn reward_terms(&self, py: Python<'_>, robot: &str) -> PyResult<Vec<&str>> {
         Ok(self.sim.reward_terms(self.robot_index(py, robot)?))
+    }
+
+    #[doc = docstring!("VecSim.reward_weights")]
+    fn reward_weights(&self, py: Python<'_>, robot: &str) -> PyResult<BTreeMap<&str, f32>> {
+        let index = self.robot_index(py, robot)?;
+        Ok(self.sim.task().rewards[index].iter().map(|term| (term.name.as_str(), term.weight)).collect())
     }
 
     #[doc = docstring!("VecSim.reward_sums")]

@@ -5,20 +5,25 @@ use std::ops::Range;
 
 use bevy_ecs::prelude::Resource;
 use serde::Deserialize;
+use toml::Table;
 
 use super::super::view::RobotView;
-use super::registry::{BodyFn, CurriculumFn, IntervalFn, ObservationFn, Registry, ResetFn, RewardFn, TerminationFn};
+use super::registry::{
+    BodyFn, BuiltObservation, CurriculumFn, IntervalFn, NoParams, ObservationFn, Registry, ResetFn, RewardFn,
+    TerminationFn,
+};
 use super::spec::{TermKind, TermSource, TermSpec};
 use crate::bounds::MAX_BUCKETS;
 use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};
 use crate::config::values;
 use crate::config::{
-    ConfigError, ConfigErrorKind, EventMode, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params,
+    ConfigError, ConfigErrorKind, EventMode, ExternalConfig, ExternalKind, TaskConfig, VelocityCommandConfig,
+    did_you_mean, parse_params,
 };
 use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
 use crate::engine::StateLimits;
-use crate::morphology::{Morphologies, MorphologyModel};
+use crate::morphology::{BatchSlots, Morphologies, MorphologyModel};
 
 /// One term of a reward set.
 pub struct RewardTerm {
@@ -59,6 +64,17 @@ pub struct ObservationTerm {
     pub(in crate::systems) write: ObservationFn,
     /// Whether a morphology has the term in a task; the others have zeros.
     is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
+    /// Whether the simulation's caller computes the term.
+    pub is_external: bool,
+    /// Names of the robots that have the term; all if empty.
+    robots: Vec<String>,
+}
+
+impl ObservationTerm {
+    /// Whether a robot has the term in a task; the others have zeros.
+    pub(in crate::systems) fn is_of(&self, robot: &MorphologyModel, task: &TaskConfig) -> bool {
+        (self.is_on)(robot, task) && (self.robots.is_empty() || self.robots.iter().any(|name| name == robot.name()))
+    }
 }
 
 /// An observation group: consecutive terms, and consecutive numbers of a row of
@@ -217,10 +233,18 @@ impl CompiledTask {
             let (first_term, first_column) = (observations.len(), width);
             for (i, term) in terms.iter().enumerate() {
                 let element = format!("observations.{group}[{i}]");
-                let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
-                let size = (registered.size)(config, &morphologies.1)
-                    .map_err(|(problem, remedy)| ConfigError::invalid(file, element.as_str(), problem, remedy))?;
-                registered.spec.check_size(size, &morphologies.1).map_err(|needed| {
+                let (spec, size, built, is_on) = match &term.external {
+                    Some(external) => external_term(external, &term.params, file, &element, &morphologies.1)?,
+                    None => {
+                        let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
+                        let size = (registered.size)(config, &morphologies.1).map_err(|(problem, remedy)| {
+                            ConfigError::invalid(file, element.as_str(), problem, remedy)
+                        })?;
+                        let built = (registered.build)(file, &element, &term.params)?;
+                        (registered.spec, size, built, registered.is_on)
+                    }
+                };
+                spec.check_size(size, &morphologies.1).map_err(|needed| {
                     let problem = format!(
                         "the term `{}` is registered with {size} numbers, but its kind has {needed}",
                         term.term
@@ -229,7 +253,7 @@ impl CompiledTask {
                     ConfigError::invalid(file, element.as_str(), problem, remedy)
                 })?;
                 let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
-                if let Some(other) = other.filter(|_| registered.spec.is_of_quadrupeds()) {
+                if let Some(other) = other.filter(|_| spec.is_of_quadrupeds()) {
                     let problem = format!(
                         "the term `{}` describes quadrupeds of twelve joints; {} is none",
                         term.term,
@@ -238,14 +262,12 @@ impl CompiledTask {
                     let remedy = "use the term `joint_descriptors`, or other robots";
                     return Err(ConfigError::invalid(file, element, problem, remedy));
                 }
-                if term.error > 0.0 && (registered.spec.source != TermSource::RobotConstant || term.history_length > 1)
-                {
+                if term.error > 0.0 && (spec.source != TermSource::RobotConstant || term.history_length > 1) {
                     let problem =
                         format!("the term `{}` does not describe the robot by one number for an episode", term.term);
                     let remedy = "remove it, or give `noise`, which is drawn in every control step";
                     return Err(ConfigError::invalid(file, format!("{element}.error"), problem, remedy));
                 }
-                let built = (registered.build)(file, &element, &term.params)?;
                 let history = term.history_length as usize;
                 width += size * history;
                 observations.push(ObservationTerm {
@@ -256,10 +278,12 @@ impl CompiledTask {
                     error: if config.observations.enable_noise { term.error as f32 } else { 0.0 },
                     clip: term.clip.map(|range| range.map(|x| x as f32)),
                     scale: term.scale as f32,
-                    spec: registered.spec,
+                    spec,
                     offset: built.offset,
                     write: built.write,
-                    is_on: registered.is_on,
+                    is_on,
+                    is_external: term.external.is_some(),
+                    robots: term.external.as_ref().map_or_else(Vec::new, |external| external.robots.clone()),
                 });
             }
             let (terms, columns) = (first_term..observations.len(), first_column..width);
@@ -412,6 +436,11 @@ impl CompiledTask {
         self.observations.iter().any(|term| term.history > 1 || term.error > 0.0)
     }
 
+    /// Names of the terms that the simulation's caller computes.
+    pub fn external_terms(&self) -> Vec<&str> {
+        self.observations.iter().filter(|term| term.is_external).map(|term| term.name.as_str()).collect()
+    }
+
     /// Numbers in a row of all groups.
     pub fn num_obs(&self) -> usize {
         self.observations.iter().map(|term| term.size).sum()
@@ -439,7 +468,7 @@ impl CompiledTask {
         let mut mask = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
             match term.spec.kind {
-                _ if !(term.is_on)(robot, &self.config) => mask.extend(std::iter::repeat_n(false, term.size)),
+                _ if !term.is_of(robot, &self.config) => mask.extend(std::iter::repeat_n(false, term.size)),
                 TermKind::PerJoint => mask.extend(joints.iter().cycle().take(term.size)),
                 TermKind::PerFoot => {
                     let columns = term.size / term.history;
@@ -467,6 +496,26 @@ impl CompiledTask {
     pub fn cause_names(&self) -> impl Iterator<Item = &str> {
         std::iter::once(ILLEGAL_STATE).chain(self.terminations.iter().map(|term| term.name.as_str()))
     }
+}
+
+/// Size and form of a term that the simulation's caller computes.
+#[expect(clippy::type_complexity, reason = "the parts of a registered term")]
+fn external_term(
+    external: &ExternalConfig,
+    params: &Table,
+    file: &str,
+    element: &str,
+    slots: &BatchSlots,
+) -> Result<(TermSpec, usize, BuiltObservation, fn(&MorphologyModel, &TaskConfig) -> bool), ConfigError> {
+    let NoParams {} = parse_params(file, element, params)?;
+    let size = external.size as usize;
+    let size = match external.kind {
+        ExternalKind::PerJoint => size * slots.joints.len(),
+        ExternalKind::PerFoot => size * slots.feet.len(),
+        _ => size,
+    };
+    let is_on: fn(&MorphologyModel, &TaskConfig) -> bool = |_, _| true;
+    Ok((TermSpec::external(external), size, BuiltObservation { offset: 0.0, write: None }, is_on))
 }
 
 fn in_order<T>(mut events: Vec<(usize, T)>) -> Vec<T> {

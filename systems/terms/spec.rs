@@ -1,9 +1,12 @@
 //! Descriptions of observation terms: stated once, where a term is registered, and read there by
 //! export, mirror images and docs.
 
+use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
+
 use serde::Serialize;
 
-use crate::config::HeightScannerConfig;
+use crate::config::{ExternalConfig, ExternalKind, HeightScannerConfig};
 use crate::morphology::{BatchSlots, MorphologyModel};
 use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 
@@ -177,6 +180,19 @@ impl TermSpec {
         Self { kind, units, description, source: TermSource::Measured, magnitude: 1.0, blocks: &[], joint_mirror: &[] }
     }
 
+    /// A term that the simulation's caller computes.
+    pub(super) fn external(config: &ExternalConfig) -> Self {
+        let kind = match config.kind {
+            ExternalKind::Scalar => TermKind::Scalar,
+            ExternalKind::Vector => TermKind::Vector,
+            ExternalKind::Pseudovector => TermKind::Pseudovector,
+            ExternalKind::PlanarVelocity => TermKind::PlanarVelocity,
+            ExternalKind::PerJoint => TermKind::PerJoint,
+            ExternalKind::PerFoot => TermKind::PerFoot,
+        };
+        Self::new(kind, interned(&config.units), interned(&config.description))
+    }
+
     /// A term that is computed from sensor readings.
     pub const fn from_source(self, source: TermSource) -> Self {
         Self { source, ..self }
@@ -279,6 +295,19 @@ impl TermSpec {
         }
         mirror
     }
+}
+
+/// The one copy of a text. It stays in memory: specs are copied freely, and hold texts of the
+/// program and of configs.
+fn interned(text: &str) -> &'static str {
+    static TEXTS: Mutex<BTreeSet<&'static str>> = Mutex::new(BTreeSet::new());
+    let mut texts = TEXTS.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = texts.get(text) {
+        return known;
+    }
+    let text: &'static str = Box::leak(text.into());
+    texts.insert(text);
+    text
 }
 
 /// The mirror of a quadruped's joints in their canonical order.

@@ -46,6 +46,9 @@ class Eval:
     Default: the run's."""
     task: Name = None
     """Name or alias of the task. Default: the run's."""
+    terms: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The Python file of terms that the run was begun with, which is run; see docs/write-a-term.md.
+    Its curricula, startup and interval events are on with --randomized alone."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None
@@ -83,6 +86,7 @@ class Eval:
             grid=self.grid,
             commands=self.commands,
             randomized=self.randomized,
+            terms=self.terms,
         )
         summary = summarize(evaluations)
         reporter = Reporter()
@@ -106,6 +110,7 @@ class Eval:
         (checkpoint, *others) = checkpoints
         given = {
             "several checkpoints": others,
+            "--terms": self.terms,
             "--num-envs": self.num_envs,
             "--steps": self.steps,
             "--grid": self.grid,

@@ -57,6 +57,8 @@ class Play:
     meshes: bool = False
     """Show the makers' meshes, which the package robot_descriptions downloads once; needs the extra
     meshes."""
+    terms: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The Python file of terms that the run was begun with, which is run."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None
@@ -91,6 +93,7 @@ class Play:
                 seed=self.seed,
                 threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
+                terms=self.terms,
             )
         )
         show(player)

@@ -33,8 +33,8 @@ class Train:
     flat."""
     learner: Annotated[Learner | None, arg(metavar="{auto,native,rsl_rl}")] = None
     """The learner: the native one, on a CPU or a GPU, or rsl_rl. `auto` is native for perceptrons,
-    and rsl_rl for all other networks and for --terms. Default: the train config's. A resumed run
-    may go on with the other one."""
+    and rsl_rl for all other networks. Default: the train config's. A resumed run may go on with the
+    other one."""
     logger: Literal["tensorboard", "wandb", "neptune", "none"] = "tensorboard"
     """Destination of the curves. wandb and neptune need their package and account; TensorBoard's
     files are written too."""
@@ -47,8 +47,8 @@ class Train:
     """Initialise the networks from this checkpoint, bundled policy, or run by its name or the end
     of it. Observation and sizes of networks must be the same."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Rewards and terminations of a Python file, see docs/write-a-term.md. The file is run; rsl_rl
-    learns."""
+    """Terms of a task in a Python file: observations, commands, rewards, terminations, events and
+    curricula, see docs/write-a-term.md. The file is run."""
     run_name: Name = None
     """Suffix of the name of the run's directory."""
     log_dir: Path = Path("logs")

@@ -12,18 +12,21 @@ from polypod.evaluation.gate import Gate
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
+from polypod.runs.own_terms import terms_of_run
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
     """`evaluate` for a checkpoint or an ONNX file.
 
-    Task, robots and overrides come from its manifest unless given.
+    Task, robots and overrides come from its manifest unless given. `terms`, a path, is the file of
+    terms in Python that a run was begun with; no manifest makes one run.
     """
     from polypod.policy import load  # it builds on this package
 
     task = arguments.pop("task", None)
     policy = load(checkpoint, task, robots)
     manifest = policy.manifest
+    terms = terms_of_run(manifest, arguments.pop("terms", None), str(checkpoint))
     given = list(arguments.pop("overrides", ()))
     evaluation = evaluate(
         policy.runner(),
@@ -32,6 +35,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         overrides=given,
         trained=manifest["overrides"],
         slots=manifest["canonical_joint_names"],
+        terms=terms,
         **arguments,
     )
     origin = {

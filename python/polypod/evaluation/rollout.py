@@ -13,7 +13,9 @@ from polypod.arrays import Array
 from polypod.evaluation import measures, walking
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.networks.policies import Policy, reset
+from polypod.python_terms import Terms
 from polypod.registration import num_robots
+from polypod.vector_env import simulator
 
 ENVS_PER_ROBOT = 64
 
@@ -61,6 +63,7 @@ def evaluate(
     slots: Sequence[str] = (),
     trained: Sequence[str] = (),
     commands: Commands = "walking",
+    terms: Terms | None = None,
 ) -> Evaluation:
     """Runs a policy in a task's Play variant.
 
@@ -87,6 +90,8 @@ def evaluate(
             with `randomized` alone.
         commands: "walking" for the schedule that walking is judged by, "task" for commands as the
             task draws them; without effect with a grid.
+        terms: terms of the task in Python; curricula and disturbing events of theirs are on with
+            `randomized` alone.
 
     Raises:
         ConfigError: for an unknown task or robot, for counts below one, and for more than
@@ -105,9 +110,11 @@ def evaluate(
     changes = [*trained, *switches, *overrides]
     if num_envs is None:
         num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name, changes))
-    sim = _core.VecSim(
+    sim = simulator(
+        terms,
         name,
         num_envs,
+        play=not randomized,
         robots=named,
         seed=seed,
         threads=threads,

@@ -16,6 +16,8 @@ from polypod.evaluation import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
 from polypod.policy import load
 from polypod.render.scene import Scene
+from polypod.runs.own_terms import terms_of_run
+from polypod.vector_env import simulator
 
 SPACING = 1.2
 """Between robots that walk side by side, m."""
@@ -52,6 +54,7 @@ class Player(Scene):
         seed: int = 0,
         threads: int | None = None,
         overrides: Sequence[str] = (),
+        terms: Path | None = None,
     ) -> None:
         """Loads the policy and begins the first episodes.
 
@@ -66,6 +69,7 @@ class Player(Scene):
             seed: of every random stream.
             threads: of the simulator; None: one per core.
             overrides: `key=value` changes to the task, on top of the training's own.
+            terms: the file of terms in Python that the run was begun with.
 
         Raises:
             ConfigError: for a checkpoint, robot, task or override that cannot be used.
@@ -75,14 +79,15 @@ class Player(Scene):
         manifest = policy.manifest
         sources = list(manifest["robot_sources"] if robots is None else robots)
         name = play_task(task or manifest["task"])
+        of_run = terms_of_run(manifest, terms, str(checkpoint))
         changes = [*manifest["overrides"], *undisturbed(name, manifest["overrides"]), *overrides]
         arguments: dict[str, Any] = {"robots": sources, "seed": seed, "threads": threads}
         arguments["slots"] = manifest["canonical_joint_names"]
-        sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
+        sim = simulator(of_run, name, envs_per_robot * len(sources), play=True, overrides=changes, **arguments)
         defaults = _defaults(tomllib.loads(sim.resolved_config())["task"], aligned=command is not None)
         if defaults:
             changes = [*defaults, *changes]
-            sim = _core.VecSim(name, envs_per_robot * len(sources), overrides=changes, **arguments)
+            sim = simulator(of_run, name, envs_per_robot * len(sources), play=True, overrides=changes, **arguments)
         if sim.num_obs != manifest["policy"]["num_obs"]:
             raise _core.ConfigError(
                 f"the policy takes observations of {manifest['policy']['num_obs']} numbers, and {sim.task_name} "

@@ -41,6 +41,7 @@ class Options:
     seed: int = 0
     threads: int | None = None
     overrides: Sequence[str] = ()
+    terms: Path | None = None
 
 
 def play(options: Options) -> Player:
@@ -103,6 +104,7 @@ def _player(options: Options, live: bool) -> Player:
             seed=options.seed,
             threads=options.threads,
             overrides=options.overrides,
+            terms=options.terms,
         )
 
     player = build(options.command)
@@ -133,6 +135,7 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
             robots=robots,
             command=None,
             overrides=options.overrides if choice.task == options.task else (),
+            terms=options.terms if choice.policy == given else None,
         )
         return _player(changed, live=True)
 

@@ -33,8 +33,8 @@ import torch
 from polypod import _core, descriptions
 from polypod.files import read_bytes, real_path, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
+from polypod.python_terms import Terms
 from polypod.runs import manifest
-from polypod.runs.python_terms import PythonTerms
 from polypod.runs.schema import TrainConfig
 
 MANIFEST = "manifest.json"
@@ -351,7 +351,7 @@ def write_params(
     robots: list[str] | None,
     overrides: list[str],
     command: str,
-    terms: PythonTerms | None = None,
+    terms: Terms | None = None,
     slots: Sequence[str] = (),
 ) -> None:
     """Writes the manifest and `params/`.
@@ -363,7 +363,7 @@ def write_params(
     manifest = manifest_of(sim, config, robots, overrides, command)
     if slots:
         manifest["slots"] = list(slots)
-    if terms is not None:
+    if terms is not None and terms.path is not None:
         # a record of what was run; it is never run by itself
         manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}
         write_bytes(run / "params" / "terms.py", terms.path.read_bytes())

@@ -17,6 +17,7 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.networks import UrmaModel
+from polypod.python_terms import TermSim
 from polypod.training.runner import Runner
 
 NETWORKS = ("actor", "critic")
@@ -39,8 +40,23 @@ class NativeRunner(Runner):
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
-        self.logger.ended = self._learner.collect(sim, self.current_learning_iteration, self.config.run.clip_actions)
+        if isinstance(sim, TermSim):
+            self.logger.ended = self._collect_with_terms(sim)
+        else:
+            self.logger.ended = self._learner.collect(
+                sim, self.current_learning_iteration, self.config.run.clip_actions
+            )
         return observations
+
+    def _collect_with_terms(self, sim: TermSim) -> list[tuple[int, int, float, float]]:
+        """`Learner.collect` with Python between the steps."""
+        self._learner.begin(self.current_learning_iteration)
+        limit = self.config.run.clip_actions
+        for _ in range(self.config.run.num_steps_per_env):
+            actions = self._learner.act(sim)
+            sim.step(actions if limit is None else np.clip(actions, -np.float32(limit), np.float32(limit)))
+            self._learner.record(sim.reward, sim.terminated, sim.truncated)
+        return self._learner.finish(sim)
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
         self._learner.set_goals(self.alg.entropy_coef, self.alg.desired_kl if self.alg.schedule == "adaptive" else None)

@@ -19,6 +19,7 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.networks import UrmaModel
 from polypod.networks.clipped import clip_actions
+from polypod.python_terms import TermSim
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.runs.schema import TrainConfig
@@ -194,6 +195,8 @@ class Runner(OnPolicyRunner):
         with self._stop_on_signals(), self.reporter.training(start, stop):
             for iteration in range(start, stop):
                 observations = self._iterate(iteration, stop, observations)
+                if iteration == start:
+                    self._tell_cost()
                 is_last = iteration + 1 == stop
                 is_reached = self.goal is not None and self.stopped_by is None and self.goal.ends(self, is_last)
                 last = is_last or self._is_to_stop() or is_reached
@@ -201,6 +204,14 @@ class Runner(OnPolicyRunner):
                     self.try_to_save(run_dir.checkpoint_path(self.run, iteration + 1), last)
                 if last:
                     break
+
+    def _tell_cost(self) -> None:
+        """Says once how much of a control step the terms in Python take."""
+        sim = self.env.unwrapped.sim
+        if isinstance(sim, TermSim) and (cost := sim.cost()):
+            most = ", ".join(f"{name} {share:.1%}" for name, share in list(cost.items())[:3])
+            file = sim.terms.path.name if sim.terms.path is not None else "Python"
+            self.reporter.message(f"terms of {file} take {sum(cost.values()):.1%} of a step: {most}")
 
     def _is_to_stop(self) -> bool:
         """Whether a signal ends the training now: for all workers after the same iteration."""

@@ -16,10 +16,10 @@ import torch
 import polypod
 from polypod import _core, quick_start
 from polypod.evaluation import evaluate_checkpoint
+from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
-from polypod.runs import config, python_terms, run_dir
+from polypod.runs import config, run_dir
 from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
-from polypod.terms import CustomTerms
 from polypod.training.goal import UntilWalks, progress_line
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
@@ -94,7 +94,7 @@ class Plan:
     overrides: list[str]
     checkpoint: Path | None
     device: str
-    terms: python_terms.PythonTerms | None = None
+    terms: Terms | None = None
     slots: tuple[str, ...] = ()
     """Names of actions that the policy has on top of those of its robots."""
 
@@ -128,7 +128,7 @@ def train(options: Options) -> int:
     reporter.message(f"checkpoint {checkpoint}")
     if runner.stopped_by is not None:
         return 128 + runner.stopped_by
-    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads))
+    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads, terms=options.terms))
     if goal is None or goal.walked:
         return 0
     if goal.best is not None and goal.best.checkpoint != checkpoint:
@@ -179,19 +179,17 @@ def train_with(
     terms = plan.terms
     if terms is not None and workers.count > 1:
         raise _core.ConfigError("--terms are of trainings in one process; leave them out, or train without workers")
-    env: polypod.VectorEnv | CustomTerms = polypod.make(
+    env = polypod.make(
         run_config.task,
         run_config.num_envs,
         robots=plan.robots,
         seed=plan.seed,
         threads=threads,
         overrides=[*run_config.task_changes, *plan.overrides],
-        autoreset="same_step" if terms is None else "disabled",
         share=workers.share(run_config.num_envs, run_config.learner),
         slots=plan.slots,
+        terms=terms,
     )
-    if terms is not None and isinstance(env, polypod.VectorEnv):
-        env = CustomTerms(env, terms.rewards, terms.terminations, source=f"--terms {options.terms}")
     workers.check_same({"the configuration of task and robots": env.sim.config_hash()}, "use the same files")
     workers.check_same({"the instruction set": env.sim.simd}, "set POLYPOD_SIMD to one that all have")
     reporter = reporter or Reporter(quiet=not workers.is_first)
@@ -334,9 +332,11 @@ def settle(
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
     ).with_teacher_located()
-    terms = None if options.terms is None else python_terms.load(options.terms)
+    terms = None if options.terms is None else load(options.terms)
+    if terms is not None:
+        overrides = terms.in_overrides(overrides)
     kind = torch.device(device).type
-    train_config = train_config.with_learner_resolved(_learner_of(options), kind)
+    train_config = train_config.with_learner_resolved(options.learner, kind)
     train_config = train_config.with_mixed_precision_resolved(kind)
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
@@ -371,24 +371,13 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     train_config = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
     device = _device(options, train_config)
     terms = _terms_again(options, manifest)
-    train_config = train_config.with_learner_resolved(_learner_of(options), torch.device(device).type)
+    train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
     slots = tuple(manifest.get("slots", ()))
     return Plan(train_config, robots, seed, overrides, checkpoint, device, terms, slots)
 
 
-def _learner_of(options: Options) -> str | None:
-    """The learner that is asked for: terms in Python are rsl_rl's."""
-    if options.terms is None:
-        return options.learner
-    if options.learner == "native":
-        raise _core.ConfigError(
-            "--terms are called between steps, which the native learner takes in Rust; leave out --learner native"
-        )
-    return "rsl_rl"
-
-
-def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.PythonTerms | None:
+def _terms_again(options: Options, manifest: dict[str, Any]) -> Terms | None:
     """The terms of a run that goes on.
 
     A manifest names no code, so the file is named on the command line once more.
@@ -400,7 +389,7 @@ def _terms_again(options: Options, manifest: dict[str, Any]) -> python_terms.Pyt
         if began is None:
             return None
         raise _core.ConfigError(f"this run was begun with --terms {began['file']}; name the file again")
-    terms = python_terms.load(options.terms)
+    terms = load(options.terms)
     if terms.sha256 != began["sha256"]:
         raise _core.ConfigError(
             f"--terms {options.terms} is not the file that this run was begun with; take that one, or train anew with "
