@@ -22,12 +22,12 @@ LINE = ("train", "--num-envs", "16", "--robots", "unitree_go2,spot", "--logger",
 LINE += ("--set", "sim.episode_length_s=0.6", "--set", "train.run.num_steps_per_env=8")
 LINE += ("--set", "train.actor.hidden_dims=[16]", "--set", "train.critic.hidden_dims=[16]")
 ROBOTS = ["unitree_go2", "spot"]
-TRACKING = "tracking"
+TRACKING = "track_lin_vel_xy_exp"
 
 
 def make(declared, num_envs=8, **options):
     options = {"robots": ROBOTS, "seed": 3, "threads": 1, "overrides": SHORT, **options}
-    return polypod.make("velocity_flat", num_envs, terms=declared, **options)
+    return polypod.make(options.pop("task", "velocity_flat"), num_envs, terms=declared, **options)
 
 
 def drive(env, steps, seed=0):
@@ -117,7 +117,7 @@ def test_without_terms_of_its_own_the_simulation_keeps_every_bit():
 
 
 def test_masks_mirror_and_columns_of_joints():
-    env = make([effort], robots=["unitree_go2", "spot", "unitree_g1"], num_envs=6)
+    env = make([effort], task="velocity_flat_legged", robots=["unitree_go2", "spot", "unitree_g1"], num_envs=6)
     n = env.sim.num_actions
     columns = env.sim.observation_groups["critic"]
     assert columns[1] - columns[0] == n
@@ -233,7 +233,7 @@ def test_curricula_change_weights_ranges_and_curves():
     after = make([own])
     plain = make(None)
     np.testing.assert_allclose(drive(after, 1)[0][1] - drive(plain, 1)[0][1], 0.02, atol=1e-6)
-    with pytest.raises(polypod.UnknownNameError, match="no reward term 'missing'.*use one of.*own"):
+    with pytest.raises(polypod.UnknownNameError, match=r"no reward term 'missing'.*use one of.*own"):
         env.sim.set_weight("missing", 1.0)
 
 
@@ -251,7 +251,7 @@ def test_a_snapshot_goes_on_bit_for_bit():
     assert "Curriculum/higher/level" in log
     with pytest.raises(polypod.ConfigError, match="holds no memory of terms"):
         other.sim.restore(make(None).sim.snapshot())
-    with pytest.raises(polypod.ConfigError, match="made with other terms|another|config"):
+    with pytest.raises(polypod.ConfigError, match=r"another|other"):
         make([height]).sim.restore(data)
 
 
@@ -347,5 +347,5 @@ def test_a_term_that_is_wrong_is_named_with_its_file(body, said, tmp_path):
 def test_a_simulation_without_its_terms_does_not_step_on_zeros():
     overrides = [*SHORT, height.override()]
     env = polypod.make("velocity_flat", 2, robots=["spot"], overrides=overrides)
-    with pytest.raises(polypod.ConfigError, match="the terms height are computed by .*--terms FILE"):
+    with pytest.raises(polypod.ConfigError, match=r"the terms height are computed by .*--terms FILE"):
         env.step(np.zeros(env.action_space.shape, dtype=np.float32))
