@@ -294,6 +294,21 @@ def test_the_example_trains_resumes_is_evaluated_played_and_exported(learner, cl
     assert "clock" in done.stderr
 
 
+def test_terms_of_other_projects_run_on_different_bodies():
+    env = make(str(EXAMPLE.with_name("terms_of_others.py")), task="velocity_flat_legged", robots=["spot", "unitree_g1"])
+    env.reset(seed=3)
+    rewards = np.stack([reward for _, reward, _ in drive(env, 60)])
+    assert np.isfinite(rewards).all()
+    curves = env.sim.log()
+    for robot in ("spot", "unitree_g1"):
+        for term in ("upright", "variable_posture", "feet_swing_height", "soft_landing", "joint_vel_l1", "action_l2"):
+            assert curves[f"Episode_Reward/{robot}/{term}"] != 0.0, (robot, term)
+        assert f"Curriculum/command_vel/{robot}" in curves
+    assert env.sim.observation_of("critic").shape[1] == 2 * len(env.feet_names)
+    lines = EXAMPLE.with_name("terms_of_others.py").read_text().count("\n")
+    assert lines < 150
+
+
 def test_the_native_learner_s_loop_in_python_is_the_one_in_rust(cli, tmp_path):
     (tmp_path / "speed.py").write_text(
         "from polypod import terms\n@terms.metric()\ndef speed(env):\n    return env.base_lin_vel[:, 0]\n"

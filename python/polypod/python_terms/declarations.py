@@ -118,7 +118,7 @@ class Shown(Declared):
     def override(self) -> str:
         """The `key=value` change of a task that reserves the columns."""
         description = (inspect.getdoc(self.function) or "").split("\n", 1)[0]
-        external = {"size": self.size, "kind": self.mirror, "units": self.units, "description": description}
+        external: dict[str, Any] = {"size": self.size, "kind": self.mirror, "units": self.units, "description": description}
         if self.robots is not None:
             external["robots"] = list(self.robots)
         term: dict[str, Any] = {"term": self.name, "history_length": self.history_length, "external": external}
@@ -206,7 +206,8 @@ class Terms:
                 f"{_begin(source)}{min(both)!r} is an observation and a command; a command is observed by itself: "
                 "rename one of them"
             )
-        return cls(source=source, **found, **more)
+        arguments: dict[str, Any] = {**found, **more}
+        return cls(source=source, **arguments)
 
     @property
     def is_empty(self) -> bool:

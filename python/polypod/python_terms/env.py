@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,15 @@ from polypod import _core
 from polypod.python_terms.random import EnvRandom
 from polypod.state import State
 
-if TYPE_CHECKING:
-    from polypod.python_terms.sim import TermSim
+
+class Rewards(Protocol):
+    """Reward terms of the task and of the file."""
+
+    def episode_reward(self, term: str) -> npt.NDArray[np.float64]:
+        """See `TermEnv.episode_reward`."""
+
+    def set_weight(self, term: str, weight: float) -> None:
+        """See `TermEnv.set_weight`."""
 
 
 class _Gathered:
@@ -60,7 +67,7 @@ class TermEnv(State):
     State arrays are read-only: write through `sim`.
     """
 
-    sim: "TermSim"
+    sim: _core.VecSim
     """The simulator, with its methods that change states and physics."""
     commands: Mapping[str, npt.NDArray[np.float32]]
     """Present values of one's own commands by name, float32 [num_envs, size]. They may be changed."""
@@ -71,7 +78,8 @@ class TermEnv(State):
 
     def __init__(
         self,
-        sim: "TermSim",
+        sim: _core.VecSim,
+        rewards: Rewards,
         commands: Mapping[str, npt.NDArray[np.float32]],
         memory: Mapping[str, npt.NDArray[Any]],
         random: EnvRandom,
@@ -81,6 +89,7 @@ class TermEnv(State):
         super().__init__(lambda: gathered)
         self._gathered: _Gathered = gathered
         self.sim = sim
+        self._rewards = rewards
         self.commands = MappingProxyType(dict(commands))
         self.memory = MappingProxyType(dict(memory))
         self.random = random
@@ -103,14 +112,14 @@ class TermEnv(State):
 
         Raises UnknownNameError where no robot has the term.
         """
-        return self.sim.episode_reward(term)
+        return self._rewards.episode_reward(term)
 
     def set_weight(self, term: str, weight: float) -> None:
         """Sets the weight of a reward term, the task's or one's own, of all robots that have it.
 
         Raises UnknownNameError where no robot has the term.
         """
-        self.sim.set_weight(term, weight)
+        self._rewards.set_weight(term, weight)
 
     def refresh(self) -> None:
         """Gathers the state again, after it was changed through `sim`."""

@@ -57,7 +57,9 @@ class TermSim(_core.VecSim):
         if (share := options.get("share")) is not None and tuple(share) != (0, num_envs):
             raise _core.ConfigError("terms in Python are of simulations in one process; leave out share, or the terms")
         options["overrides"] = terms.in_overrides(list(options.get("overrides", ())))
-        return super().__new__(cls, task, num_envs, autoreset="disabled", **options)
+        build: Any = super().__new__
+        sim: TermSim = build(cls, task, num_envs, autoreset="disabled", **options)
+        return sim
 
     def __init__(self, task: str, num_envs: int, *, terms: Terms, play: bool = False, **options: Any) -> None:
         """Begins all episodes with the terms.
@@ -103,25 +105,21 @@ class TermSim(_core.VecSim):
         self._truncated: BoolArray = np.zeros(n, dtype=np.bool_)
         self._final_mask: BoolArray = np.zeros(n, dtype=np.bool_)
         self._final: dict[str, FloatArray] = {}
-        self._seen: dict[str, FloatArray] = {}
         self.seconds: dict[str, float] = {}
         """Time that each term has taken, s, and all control steps together as `step`."""
-        self._env = TermEnv(self, self._commands, self._memory, self._random)
+        self._env = TermEnv(self, self, self._commands, self._memory, self._random)
         self._begin(np.ones(n, dtype=np.bool_), is_startup=True)
 
     # -- what VecSim hands out ---------------------------------------------------------------------
 
     @property
     def observation(self) -> FloatArray:
-        """[num_envs, num_obs], fresh in each step."""
+        """[num_envs, num_obs], a copy."""
         return self.observation_of(POLICY)
 
     def observation_of(self, group: str) -> FloatArray:
-        """[num_envs, n], fresh in each step."""
-        seen = self._seen.get(group)
-        if seen is None:
-            seen = self._seen[group] = np.array(super().observation_of(group))
-        return seen
+        """[num_envs, n], a copy."""
+        return np.array(super().observation_of(group))
 
     @property
     def reward(self) -> FloatArray:
@@ -171,7 +169,7 @@ class TermSim(_core.VecSim):
                     self._wait(event.name, event.interval_range_s, due)
                     self._happen(event, due)
         super().step(actions)
-        self._seen, self._final = {}, {}
+        self._final = {}
         env.refresh()
         for observation in self.terms.observations.values():
             self._hook(observation, "update", env)
@@ -251,7 +249,6 @@ class TermSim(_core.VecSim):
                 self._happen(event, ids)
         for term in (*self.terms.commands.values(), *self.terms.observations.values()):
             self._hook(term, "reset", env, ids)
-        self._seen = {}
         self._observe(None if rows.all() else rows)
 
     # -- the terms ---------------------------------------------------------------------------------
@@ -341,7 +338,6 @@ class TermSim(_core.VecSim):
             shape = (self.num_envs, width)
             parts.append(self._checks.rows(f"observations[{term.name!r}]", value, shape, self._env.valid))
         super().observe_external(np.ascontiguousarray(np.concatenate(parts, axis=1)), mask)
-        self._seen = {}
 
     def _checks_of_command(self, command: Command) -> FloatArray:
         values = self._commands[command.name]
@@ -446,17 +442,19 @@ class TermSim(_core.VecSim):
 
     # -- snapshots ---------------------------------------------------------------------------------
 
-    def snapshot(self) -> bytes:
-        """The simulator's snapshot with the memory of the terms."""
+    def snapshot(self, env_ids: Any = None) -> bytes:
+        """The simulator's snapshot with the memory of the terms; of all envs."""
+        self._check_all(env_ids)
         core, buffer = super().snapshot(), io.BytesIO()
         np.savez(buffer, allow_pickle=False, **self._arrays())
         return b"".join([MAGIC, len(core).to_bytes(8, "little"), core, buffer.getvalue()])
 
-    def restore(self, data: bytes) -> None:
+    def restore(self, data: bytes, env_ids: Any = None) -> None:
         """Restores a snapshot of a simulator with the same terms.
 
         Raises ConfigError for another one; the simulator is then as it was.
         """
+        self._check_all(env_ids)
         start = len(MAGIC) + 8
         if not data.startswith(MAGIC) or len(data) < start:
             raise _core.ConfigError(
@@ -483,7 +481,13 @@ class TermSim(_core.VecSim):
         self._random.counters[:] = found["random"]
         self._restore_texts(texts)
         self._env.refresh()
-        self._seen, self._final = {}, {}
+        self._final = {}
+
+    def _check_all(self, env_ids: Any) -> None:
+        if env_ids is not None:
+            raise _core.ConfigError(
+                f"{self._checks.begin}env_ids: terms in Python are kept for all envs together; leave env_ids out"
+            )
 
     def _arrays(self) -> dict[str, npt.NDArray[Any]]:
         """All numbers that the next step depends on, by name; `texts` is JSON."""
