@@ -313,7 +313,7 @@ def test_the_native_learner_s_loop_in_python_is_the_one_in_rust(cli, tmp_path):
     (tmp_path / "speed.py").write_text(
         "from polypod import terms\n@terms.metric()\ndef speed(env):\n    return env.base_lin_vel[:, 0]\n"
     )
-    line = (*LINE, "--learner", "native", "--max-iterations", "2")
+    line = (*LINE, "--learner", "native", "--max-iterations", "2", "--set", "train.run.clip_actions=0.5")
     assert cli(*line, "--log-dir", "plain").returncode == 0
     done = cli(*line, "--log-dir", "terms", "--terms", "speed.py")
     assert done.returncode == 0, done.stderr
