@@ -1,4 +1,4 @@
-"""Terms of mjlab's and Isaac Lab's velocity tasks that polypod has no built-in of, under their names.
+"""Terms of mjlab's and Isaac Lab's velocity tasks that are not built in, under their names.
 
 polypod train --task velocity_flat --terms examples/terms_of_others.py
 """

@@ -126,8 +126,8 @@ impl Kernel<f32> for Observation<'_> {
     }
 }
 
-/// Writes the terms that the caller computes, with noise and history, to the rows of the mask, or to
-/// all. `values` are the present numbers of these terms side by side, `[num_envs, n]`.
+/// Writes the terms that the caller computes, with noise and history, to the rows of the mask, or
+/// to all. `values` are the present numbers of these terms side by side, `[num_envs, n]`.
 ///
 /// # Errors
 /// Values or a mask of another length.

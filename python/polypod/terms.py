@@ -1,7 +1,7 @@
 """Terms of a task in Python: observations, commands, rewards, terminations, events, curricula.
 
-A file declares them, and `polypod train --terms my_task.py` or `polypod.make(..., terms="my_task.py")`
-adds them to a task:
+A file declares them. `polypod train --terms my_task.py` and `polypod.make(..., terms="my_task.py")`
+add them to a task:
 
 >>> import numpy as np
 >>> from polypod import terms

@@ -245,7 +245,7 @@ def test_a_snapshot_goes_on_bit_for_bit():
     log = env.sim.log()
     other.sim.restore(data)
     assert same(drive(other, 50, seed=1), expected)
-    # what both have logged since the snapshot, and before
+    # episodes before the snapshot count in both logs
     assert other.sim.log() == log
     assert other.sim.snapshot() == env.sim.snapshot()
     assert "Curriculum/higher/level" in log

@@ -101,7 +101,7 @@ class Shown(Declared):
     def update(self, function: Function) -> Function:
         """Registers `function(env)`, called once per control step.
 
-        Of an observation: after the physics, before terminations and rewards. Of a command: before
+        Observations are updated after the physics, before terminations and rewards; commands before
         the physics. Returns the function.
         """
         self.hooks["update"] = function
@@ -118,7 +118,8 @@ class Shown(Declared):
     def override(self) -> str:
         """The `key=value` change of a task that reserves the columns."""
         description = (inspect.getdoc(self.function) or "").split("\n", 1)[0]
-        external: dict[str, Any] = {"size": self.size, "kind": self.mirror, "units": self.units, "description": description}
+        external: dict[str, Any] = {"size": self.size, "kind": self.mirror, "units": self.units}
+        external["description"] = description
         if self.robots is not None:
             external["robots"] = list(self.robots)
         term: dict[str, Any] = {"term": self.name, "history_length": self.history_length, "external": external}
@@ -353,7 +354,7 @@ class _Rewarded(Declared):
 
 
 def termination(*, robots: Sequence[str] | None = None, name: str | None = None) -> Callable[[Function], Termination]:
-    """Makes a termination of `function(env)`: bool [num_envs], True where the episode has failed."""
+    """Makes a termination of `function(env)`: bool [num_envs], True where an episode has failed."""
     return lambda function: Termination(name=_name(function, name), function=function, robots=_robots(robots))
 
 

@@ -1,4 +1,4 @@
-"""What a term in Python is handed: the state of all envs, and what terms keep and change."""
+"""View of all envs for terms in Python: state, commands, memory and random streams."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -70,7 +70,8 @@ class TermEnv(State):
     sim: _core.VecSim
     """The simulator, with its methods that change states and physics."""
     commands: Mapping[str, npt.NDArray[np.float32]]
-    """Present values of one's own commands by name, float32 [num_envs, size]. They may be changed."""
+    """Present values of one's own commands by name, float32 [num_envs, size]. They may be
+    changed."""
     memory: Mapping[str, npt.NDArray[Any]]
     """Arrays of `polypod.terms.memory` by name. They may be changed."""
     random: EnvRandom
@@ -108,7 +109,7 @@ class TermEnv(State):
         return self._ids.get(robot, np.empty(0, dtype=np.int64))
 
     def episode_reward(self, term: str) -> npt.NDArray[np.float64]:
-        """[num_envs], sum of a weighted reward term, the task's or one's own, in the episode so far.
+        """[num_envs], sum of a weighted reward term in the episode so far.
 
         Raises UnknownNameError where no robot has the term.
         """

@@ -18,7 +18,7 @@ MAX_BYTES = 1 << 20
 def load(path: Path) -> Terms:
     """Runs a file for the terms that it declares.
 
-    Those are functions under the decorators of `polypod.terms`, arrays of `polypod.terms.memory`,
+    Terms are functions under the decorators of `polypod.terms`, arrays of `polypod.terms.memory`,
     and the entries of the dicts `rewards` and `terminations`.
 
     Raises:

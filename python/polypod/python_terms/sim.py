@@ -123,17 +123,17 @@ class TermSim(_core.VecSim):
 
     @property
     def reward(self) -> FloatArray:
-        """[num_envs]."""
+        """[num_envs], rewards of the last step, those of the terms included."""
         return self._reward
 
     @property
     def terminated(self) -> BoolArray:
-        """[num_envs]."""
+        """[num_envs], whether each episode has failed in the last step."""
         return self._terminated
 
     @property
     def truncated(self) -> BoolArray:
-        """[num_envs]."""
+        """[num_envs], whether each episode has run out of time in the last step."""
         return self._truncated
 
     @property
@@ -147,7 +147,7 @@ class TermSim(_core.VecSim):
 
     @property
     def final_mask(self) -> BoolArray:
-        """[num_envs]."""
+        """[num_envs], rows of `final_obs` that are valid."""
         return self._final_mask
 
     # -- stepping ----------------------------------------------------------------------------------
@@ -194,10 +194,10 @@ class TermSim(_core.VecSim):
         """Begins new episodes, see `VecSim.reset`."""
         n = self.num_envs
         if mask is not None and (mask.dtype != np.bool_ or mask.shape != (n,) or seed is not None):
-            super().reset(seed, mask)  # which says what is wrong
+            super().reset(seed, mask)  # an error that names the argument
         rows = np.ones(n, dtype=np.bool_) if mask is None else mask.copy()
         ended = rows & (self._terminated | self._truncated)
-        if seed is not None or self.same_step:  # seeds begin anew; same-step autoreset has told the curricula
+        if seed is not None or self.same_step:  # curricula are told of ends once, and of none after a seed
             ended[:] = False
         self._begin(rows, ended=np.flatnonzero(ended), seed=seed)
         self._terminated, self._truncated = self._terminated & ~rows, self._truncated & ~rows
@@ -254,7 +254,7 @@ class TermSim(_core.VecSim):
     # -- the terms ---------------------------------------------------------------------------------
 
     def _call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What a term returns; its errors name file, line and term, and its time is counted."""
+        """Value that a term returns; its errors name file, line and term, and its time is counted."""
         started = time.perf_counter()
         try:
             return function(*arguments)
@@ -538,7 +538,7 @@ class TermSim(_core.VecSim):
         return mask
 
     def _own(self, robots: Sequence[str] | None, ids: Ids) -> Ids:
-        """Those of the rows that hold these robots."""
+        """Rows among `ids` that hold these robots."""
         return ids if robots is None else ids[self._mask(robots)[ids]]
 
     def _check_robots(self) -> None:

@@ -41,7 +41,7 @@ def terms_of_run(manifest: Mapping[str, Any], file: Path | None, name: str) -> T
 
 
 def observed(manifest: Mapping[str, Any]) -> list[str]:
-    """Names of the terms in Python with columns in an observation, by the run's changes of the task."""
+    """Names of the terms in Python that are observed, by the run's changes of the task."""
     names = []
     for change in manifest["overrides"]:
         key, _, value = change.partition("=")
