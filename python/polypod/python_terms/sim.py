@@ -254,7 +254,7 @@ class TermSim(_core.VecSim):
     # -- the terms ---------------------------------------------------------------------------------
 
     def _call(self, name: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Value that a term returns; its errors name file, line and term, and its time is counted."""
+        """Calls a term: errors name file, line and term, and the time is counted."""
         started = time.perf_counter()
         try:
             return function(*arguments)
@@ -542,7 +542,7 @@ class TermSim(_core.VecSim):
         return ids if robots is None else ids[self._mask(robots)[ids]]
 
     def _check_robots(self) -> None:
-        """Refuses a term of robots of which the simulation has none, as a slip of the pen."""
+        """Refuses names of robots that do not exist."""
         kinds: dict[str, Iterable[tuple[str, Any]]] = {
             kind: getattr(self.terms, kind).items()
             for kind in ("rewards", "terminations", "observations", "commands", "events", "curricula", "metrics")
@@ -558,7 +558,7 @@ class TermSim(_core.VecSim):
                         )
 
     def _find_columns(self) -> list[tuple[Shown, int]]:
-        """The terms that fill the columns which the task leaves to its caller, with their widths."""
+        """Terms that fill the columns of the task's caller, with their widths, in their order."""
         by_place = {(term.group, term.name): term for term in self.terms.shown}
         columns = []
         per = {"per_joint": self.num_actions, "per_foot": len(self.feet_names)}
