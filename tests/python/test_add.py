@@ -17,7 +17,7 @@ from test_new_robot import quadruped
 
 import polypod
 from polypod import _core
-from polypod.add import add, archive, description, judge, mjcf, xacro_child
+from polypod.add import add, archive, compiling, description, ellipsoid, judge, mjcf, xacro_child
 from polypod.add.description import urdf
 from polypod.runs import run_dir
 from watched import nothing_started
@@ -394,14 +394,14 @@ def test_a_pair_of_an_mjcf_file_decides_how_its_geoms_touch(tmp_path, written):
 
 def test_a_polyhedron_stands_for_an_ellipsoid_within_its_bound():
     size = np.array([0.3, 0.1, 0.05])
-    corners, faces = mjcf.ball(size)
-    assert (len(corners), len(faces)) == (mjcf.BALL_POINTS, 60)
+    corners, faces = ellipsoid.ball(size)
+    assert (len(corners), len(faces)) == (ellipsoid.BALL_POINTS, 60)
     directions = np.random.default_rng(0).standard_normal((200_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     exact = np.linalg.norm(directions * size, axis=1)
     share = (directions @ corners.T).max(axis=1) / exact - 1.0
-    assert np.abs(share).max() < mjcf.BALL_ERROR < 1.05 * np.abs(share).max()
-    assert mjcf.BALL_ERROR < 0.041
+    assert np.abs(share).max() < ellipsoid.BALL_ERROR < 1.05 * np.abs(share).max()
+    assert ellipsoid.BALL_ERROR < 0.041
     # faces look outwards
     first, second, third = (corners[faces[:, corner]] for corner in range(3))
     assert (np.einsum("fk,fk->f", np.cross(second - first, third - first), first) > 0.0).all()
@@ -466,7 +466,7 @@ def test_meshes_become_hulls(tmp_path, written):
     (trunk,) = (body for body in shapes["bodies"] if body["name"] == "trunk")
     (hull,) = (shape for shape in trunk["shapes"] if "points" in shape)
     w, x, y, z = hull["quaternion"]
-    turned = np.array(hull["points"]) @ mjcf.matrix(np.array([w, x, y, z])).T + hull["position"]
+    turned = np.array(hull["points"]) @ compiling.matrix(np.array([w, x, y, z])).T + hull["position"]
     np.testing.assert_allclose(turned.min(axis=0), [-0.1, -0.05, 0.1], atol=1e-6)
     np.testing.assert_allclose(turned.max(axis=0), [0.1, 0.05, 0.14], atol=1e-6)
 

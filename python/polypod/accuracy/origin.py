@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from polypod.add import kept, mjcf, urdf
+from polypod.add import compiling, kept, mjcf, surfaces, urdf
 from polypod.add.description import Array, Description
 from polypod.robot_files import urdf_file
 
@@ -27,7 +27,7 @@ class Origin:
     """An MJCF file of one robot."""
 
     file: Path
-    made: mjcf.Compiled
+    made: compiling.Compiled
     described: Description
     links: Mapping[int, tuple[str, Array]]
     """Link of each body of the robot, by the body's number, and its origin in the body's frame,
@@ -61,7 +61,7 @@ class Origin:
             lock: holds a joint of a spec, by its name, at a position.
             held: joints that polypod holds, and where, rad or m.
         """
-        mj = mjcf.mujoco()
+        mj = compiling.mujoco()
         spec = mj.MjSpec.from_file(str(self.file))
         spec.compile()
         # numbers are those of the compiled model until something is deleted
@@ -149,12 +149,12 @@ def find(source: str, urdf_key: str, base: str) -> Origin | None:
 @functools.cache
 def read(file: Path, root: str) -> Origin:
     """Reads a file that `add` kept; `root` is the link that its base became. Raises ConfigError."""
-    spec = mjcf.mujoco().MjSpec.from_file(str(file))
+    spec = compiling.mujoco().MjSpec.from_file(str(file))
     named = any(body.name == root for body in _tops(spec))
-    made = mjcf.compiled(file, root if named else None)
-    reader = mjcf.Reader(mjcf.mujoco(), made, file)
+    made = compiling.compiled(file, root if named else None)
+    reader = mjcf.Reader(made)
     described = reader.description()
-    floor = reader.floor()
+    floor = surfaces.floor_of(made)
     return Origin(
         file=file,
         made=made,
@@ -164,6 +164,6 @@ def read(file: Path, root: str) -> Origin:
         touching={
             geom: reader.link_of_geom.get(geom, "")
             for geom in range(made.model.ngeom)
-            if int(made.model.geom_bodyid[geom]) in reader.inside and reader.touches(geom, floor)
+            if int(made.model.geom_bodyid[geom]) in made.inside and surfaces.touches(made, geom, floor)
         },
     )

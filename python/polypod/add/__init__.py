@@ -1,6 +1,6 @@
 """`polypod add`: any description of a legged robot becomes a robot of a library.
 
-`sources` finds the file, `mjcf` has MuJoCo compile an MJCF file and writes it down as a
+`sources` finds the file, `compiling` has MuJoCo compile an MJCF file, `mjcf` writes it down as a
 `description`, `kept` writes MuJoCo's model into one file, `urdf` copies a URDF, `toml` puts what
 the file says of actuators into the draft, and `judge` compares the robot with MuJoCo's model.
 """
@@ -17,6 +17,7 @@ from typing import Any
 
 from polypod import _core, new_robot
 from polypod.add import description, judge, kept, mjcf, sources, urdf
+from polypod.add.compiling import Compiled, compiled
 from polypod.add.description import Description
 from polypod.add.toml import Slots, refined
 from polypod.add.xacro import expand
@@ -52,7 +53,7 @@ class _Found:
     meshes: dict[str, bytes]
     notes: list[str]
     described: Description | None
-    compiled: mjcf.Compiled | None
+    compiled: Compiled | None
     original: str
     """Text of a URDF as it was."""
     model: str | None = None
@@ -154,8 +155,8 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
-        made = mjcf.compiled(found.file, root)
-        reader = mjcf.Reader(mjcf.mujoco(), made, found.file)
+        made = compiled(found.file, root)
+        reader = mjcf.Reader(made)
         described = reader.description()
         model = kept.text(reader)
         notes = list(described.notes)
@@ -241,7 +242,7 @@ def _summed_up(notes: list[str]) -> list[str]:
     bare = [found[1] for note in notes if (found := _NO_EFFORT.match(note))]
     kept = [_CHECK.sub("", note) for note in notes if not _NO_EFFORT.match(note)]
     if bare:
-        names = mjcf.listed(bare)
+        names = description.listed(bare)
         kept.append(
             f"joint {names}: the file has no effort limit: it follows from weight and leg length; write the motor's"
         )

@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
+LISTED = 4
+"""Names that a note lists; of more it states the number."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,6 +123,18 @@ class Description:
     def joints(self) -> list[Joint]:
         """Joints that move in the file, parents before children."""
         return [link.joint for link in self.links if link.joint is not None]
+
+
+def listed(names: list[str]) -> str:
+    """Names with commas between; of many the first ones and the number of the others."""
+    kept = ", ".join(names[:LISTED])
+    return kept if len(names) <= LISTED else f"{kept} and {len(names) - LISTED} more"
+
+
+def of_point(at: Array) -> Array:
+    """Inertia of a unit point mass about the origin, m^2."""
+    turned: Array = (at @ at) * np.eye(3) - np.outer(at, at)
+    return turned
 
 
 def rpy(turn: Array) -> tuple[float, float, float]:

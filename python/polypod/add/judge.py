@@ -18,8 +18,8 @@ import numpy as np
 
 import polypod
 from polypod import _core
+from polypod.add.compiling import matrix, mujoco
 from polypod.add.description import Array, Description
-from polypod.add.mjcf import matrix, mujoco
 from polypod.compat import tomllib
 
 BOUNDS = {"float64": 1e-6, "float32": 1e-4}

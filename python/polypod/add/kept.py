@@ -13,7 +13,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from polypod.add.mjcf import Reader, mujoco
+from polypod.add.compiling import mujoco
+from polypod.add.mjcf import Reader
+from polypod.add.shapes import hull_of
 
 NAME = "mujoco.xml"
 """Name of the file, next to the robot's URDF."""
@@ -110,7 +112,7 @@ def _keys(root: ElementTree.Element, reader: Reader) -> None:
         root.remove(section)
     section = ElementTree.SubElement(root, "keyframe")
     for key in range(model.nkey):
-        name = reader.named("KEY", key)
+        name = reader.made.named("KEY", key)
         element = ElementTree.SubElement(section, "key", {"name": name} if name else {})
         _set(element, time=model.key_time[key], qpos=model.key_qpos[key], qvel=model.key_qvel[key])
         _set(element, ctrl=model.key_ctrl[key], act=model.key_act[key])
@@ -126,10 +128,10 @@ def _set(element: ElementTree.Element, **numbers: Any) -> None:
 
 def _bodies(world: ElementTree.Element, reader: Reader, assets: ElementTree.Element, named: Iterable[str]) -> None:
     """Rewrites bodies and what they carry, in the order of the model's numbers."""
-    model, kinds = reader.model, reader.mj.mjtObj
+    model, kinds = reader.model, mujoco().mjtObj
     geoms = _numbers(model.body_geomadr, model.body_geomnum)
     joints = _numbers(model.body_jntadr, model.body_jntnum)
-    unnamed = iter([body for body in range(1, model.nbody) if not reader.named("BODY", body)])
+    unnamed = iter([body for body in range(1, model.nbody) if not reader.made.named("BODY", body)])
 
     def visit(element: ElementTree.Element, body: int) -> None:
         _unwrap(element)
@@ -144,13 +146,13 @@ def _bodies(world: ElementTree.Element, reader: Reader, assets: ElementTree.Elem
             _joint(each, reader, joint)
         for each, geom in zip(element.findall("geom"), geoms[body], strict=True):
             is_seen = not model.geom_contype[geom] and not model.geom_conaffinity[geom]
-            if is_seen and reader.named("GEOM", geom) not in named:
+            if is_seen and reader.made.named("GEOM", geom) not in named:
                 element.remove(each)
             else:
                 _geom(each, reader, geom, assets)
         for each in element.findall("site"):
             each.attrib.pop("material", None)
-            site = reader.mj.mj_name2id(model, int(kinds.mjOBJ_SITE), each.get("name", ""))
+            site = mujoco().mj_name2id(model, int(kinds.mjOBJ_SITE), each.get("name", ""))
             if site >= 0 and int(model.site_bodyid[site]) == body:
                 _set(each, pos=model.site_pos[site], quat=model.site_quat[site])
         if body and model.body_mass[body] > 0.0:
@@ -162,7 +164,7 @@ def _bodies(world: ElementTree.Element, reader: Reader, assets: ElementTree.Elem
         for each in element.findall("body"):
             element.remove(each)
             name = each.get("name")
-            children[reader.mj.mj_name2id(model, int(kinds.mjOBJ_BODY), name) if name else next(unnamed)] = each
+            children[mujoco().mj_name2id(model, int(kinds.mjOBJ_BODY), name) if name else next(unnamed)] = each
         for child, each in sorted(children.items()):
             element.append(each)
             visit(each, child)
@@ -182,10 +184,10 @@ def _numbers(first: Any, count: Any) -> list[range]:
 
 
 def _joint(element: ElementTree.Element, reader: Reader, joint: int) -> None:
-    model, types = reader.model, reader.mj.mjtJoint
+    model, types = reader.model, mujoco().mjtJoint
     q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     kind = int(model.jnt_type[joint])
-    name = reader.named("JOINT", joint)
+    name = reader.made.named("JOINT", joint)
     element.attrib.clear()
     element.tag = "joint"
     if name:
@@ -225,14 +227,14 @@ _SIZES = {"SPHERE": 1, "CAPSULE": 2, "CYLINDER": 2, "ELLIPSOID": 3, "BOX": 3, "P
 
 def _geom(element: ElementTree.Element, reader: Reader, geom: int, assets: ElementTree.Element) -> None:
     model = reader.model
-    kind = str(reader.mj.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
-    name = reader.named("GEOM", geom)
+    kind = str(mujoco().mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
+    name = reader.made.named("GEOM", geom)
     element.attrib.clear()
     element.attrib.update({"name": name} if name else {})
     element.set("type", kind.lower())
     _set(element, group=model.geom_group[geom])
     if kind == "MESH":
-        vertices, _ = reader.vertices(geom)
+        vertices, _ = hull_of(reader.made, geom)
         hull = f"hull_{geom}"
         _set(ElementTree.SubElement(assets, "mesh", name=hull), vertex=vertices.ravel())
         element.set("mesh", hull)

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from polypod import _core
-from polypod.add.description import Array, Description, Joint, Link, inertial_of, turned
-from polypod.add.mjcf import mujoco, of_point
+from polypod.add.compiling import mujoco
+from polypod.add.description import Array, Description, Joint, Link, inertial_of, of_point, turned
 from polypod.add.root import rooted
 from polypod.add.sources import MOST_BYTES
 from polypod.files import read_bytes, real_path

@@ -1,0 +1,75 @@
+"""Joints of a compiled MJCF file that do not move in polypod."""
+
+from collections.abc import Container, Mapping
+
+import numpy as np
+
+from polypod.add.compiling import Compiled, mujoco
+from polypod.add.description import Array, listed
+
+
+def held_in(
+    made: Compiled, names: Mapping[int, str], home: Array, drives: Container[int], notes: list[str]
+) -> dict[str, float]:
+    """Joints that equality constraints tie, and undriven joints where others are driven.
+
+    Args:
+        made: the compiled file.
+        names: the robot's joints by number.
+        home: positions of the pose that the file states.
+        drives: joints that actuators act on.
+        notes: gets a line for each treatment.
+
+    Returns:
+        Joint -> position at which it is held, rad or m.
+    """
+    mj, model = mujoco(), made.model
+    held: dict[int, float] = {}
+    tied, loops, tendons = [], [], []
+    for index in range(model.neq):
+        if not model.eq_active0[index]:
+            continue
+        kind = int(model.eq_type[index])
+        name = made.named("EQUALITY", index) or f"equality_{index}"
+        if kind == int(mj.mjtEq.mjEQ_JOINT):
+            joint, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+            if joint in names and made.moves(joint):
+                held[joint] = _tied(made, index, joint, other, home)
+                tied.append(names[joint])
+        elif kind == int(mj.mjtEq.mjEQ_TENDON):
+            tendons.append(name)
+        elif _concerns(made, index):
+            loops.append(name)
+    if tied:
+        notes.append(f"joint {listed(tied)}: tied by an equality constraint: locked")
+    if loops:
+        notes.append(f"equality {listed(loops)}: closes a loop: left out")
+    if tendons:
+        notes.append(f"equality {listed(tendons)}: ties a tendon: left out")
+    if drives:
+        idle = [joint for joint in names if made.moves(joint) and joint not in drives and joint not in held]
+        held |= {joint: float(home[model.jnt_qposadr[joint]]) for joint in idle}
+        if idle:
+            notes.append(f"joint {listed([names[joint] for joint in idle])}: no actuator acts on it: locked")
+    else:
+        notes.append("the file has no actuators: replaced by position actuators, with gains by weight")
+    return {names[joint]: made.within(joint, position) for joint, position in sorted(held.items())}
+
+
+def _tied(made: Compiled, index: int, joint: int, other: int, home: Array) -> float:
+    """Where an equality constraint holds a joint in the home pose."""
+    model = made.model
+    at = 0.0
+    if other >= 0:
+        address = model.jnt_qposadr[other]
+        at = float(home[address] - model.qpos0[address])
+    polynomial = np.polynomial.Polynomial(model.eq_data[index][:5])
+    return float(model.qpos0[model.jnt_qposadr[joint]] + polynomial(at))
+
+
+def _concerns(made: Compiled, index: int) -> bool:
+    """Whether an equality constraint between bodies or sites holds a part of the robot."""
+    model = made.model
+    is_site = int(model.eq_objtype[index]) == int(mujoco().mjtObj.mjOBJ_SITE)
+    ends = [int(model.eq_obj1id[index]), int(model.eq_obj2id[index])]
+    return any(end >= 0 and int(model.site_bodyid[end] if is_site else end) in made.inside for end in ends)
