@@ -275,3 +275,16 @@ def test_a_file_of_all_robots_is_told_what_to_do(deployed_policies, tmp_path, cl
     done = cli("deploy", "check", str(path))
     assert done.returncode == 2
     assert "export the policy for one robot: polypod export --robots NAME" in done.stderr
+
+
+def test_makers_motors_move_every_joint_of_their_robot_once():
+    """And in the order of Unitree's quadrupeds: front right, front left, rear right, rear left."""
+    robots = json.loads(contracts.MOTORS.read_text(encoding="utf-8"))["robots"]
+    assert {"unitree_aliengo", "unitree_b1", "unitree_b2"} <= set(robots)
+    for name, motors in robots.items():
+        (info,) = json.loads(polypod.make("velocity_flat_legged", 1, robots=[name]).sim.robot_info()).values()
+        assert sorted(joint for joint in motors["joints"] if joint) == sorted(info["joint_names"]), name
+        assert len(motors["modes"]) == len(motors["joints"])
+        assert motors["source"].startswith("https://github.com/unitreerobotics/")
+        if len(info["joint_names"]) == 12:
+            assert [joint[:2] for joint in motors["joints"][::3]] == ["FR", "FL", "RR", "RL"], name
