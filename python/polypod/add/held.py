@@ -26,6 +26,7 @@ def held_in(
     mj, model = mujoco(), made.model
     held: dict[int, float] = {}
     tied, loops, tendons = [], [], []
+    moved: set[int] = set()
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
@@ -40,10 +41,13 @@ def held_in(
             tendons.append(name)
         elif _concerns(made, index):
             loops.append(name)
+            moved |= _around(made, index)
     if tied:
         notes.append(f"joint {listed(tied)}: tied by an equality constraint: locked")
     if loops:
-        notes.append(f"equality {listed(loops)}: closes a loop: left out")
+        still = [names[joint] for joint in sorted(moved) if joint in names and joint not in drives]
+        driven = f"; joint {listed(still)}, which it moves, does not follow it" if drives and still else ""
+        notes.append(f"equality {listed(loops)}: closes a loop: left out{driven}")
     if tendons:
         notes.append(f"equality {listed(tendons)}: ties a tendon: left out")
     if drives:
@@ -67,9 +71,28 @@ def _tied(made: Compiled, index: int, joint: int, other: int, home: Array) -> fl
     return float(model.qpos0[model.jnt_qposadr[joint]] + polynomial(at))
 
 
-def _concerns(made: Compiled, index: int) -> bool:
-    """Whether an equality constraint between bodies or sites holds a part of the robot."""
+def _ends(made: Compiled, index: int) -> list[int]:
+    """Bodies that an equality constraint between bodies or sites holds together."""
     model = made.model
     is_site = int(model.eq_objtype[index]) == int(mujoco().mjtObj.mjOBJ_SITE)
     ends = [int(model.eq_obj1id[index]), int(model.eq_obj2id[index])]
-    return any(end >= 0 and int(model.site_bodyid[end] if is_site else end) in made.inside for end in ends)
+    return [int(model.site_bodyid[end]) if is_site else end for end in ends if end >= 0]
+
+
+def _concerns(made: Compiled, index: int) -> bool:
+    """Whether an equality constraint between bodies or sites holds a part of the robot."""
+    return any(end in made.inside for end in _ends(made, index))
+
+
+def _around(made: Compiled, index: int) -> set[int]:
+    """Joints of the loop that an equality constraint closes."""
+    loop: set[int] = set()
+    for end in _ends(made, index):
+        path: set[int] = set()
+        body = end
+        while body in made.inside:
+            path |= set(made.joints_of(body))
+            body = int(made.model.body_parentid[body])
+        # joints above both ends are no part of it
+        loop ^= path
+    return {joint for joint in loop if made.moves(joint)}
