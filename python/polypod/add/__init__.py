@@ -25,7 +25,8 @@ from polypod.compat import tomllib
 from polypod.files import new_folder, real_path, write_bytes, write_text
 from polypod.vector_env import make
 
-_NO_EFFORT = re.compile(r"\[actuators\]: the URDF has no effort limit for ([^;]+);")
+_LIMIT = re.compile(r"\[actuators\]: the URDF(.*?),? for ([^;]+); (.*) follow from (.*): write the motor's")
+_LOST = re.compile(r"mesh \"[^\"]*\" is not found; the shape is left out")
 _CHECK = re.compile(r"; `polypod check [^`]*` lists them")
 
 
@@ -58,6 +59,8 @@ class _Found:
     """Text of a URDF as it was."""
     model: str | None = None
     """MuJoCo's model of an MJCF file, as one file."""
+    missing: str | None = None
+    """Collision meshes that are not found."""
 
 
 def add(
@@ -107,7 +110,7 @@ def add(
             raise _unwritable(out, error) from error
         held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
         try:
-            with new_folder(out) as staged, _named_after(found.file, staged, given):
+            with new_folder(out) as staged, _named_after(found.file, staged, given, read.missing):
                 made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {})
         except OSError as error:
             raise _unwritable(out, error) from error
@@ -116,8 +119,11 @@ def add(
 
 
 @contextlib.contextmanager
-def _named_after(file: Path, staged: Path, name: str) -> Iterator[None]:
-    """Lets errors name the user's file in the place of the one that is being written."""
+def _named_after(file: Path, staged: Path, name: str, missing: str | None) -> Iterator[None]:
+    """Lets errors name the user's file in the place of the one that is being written.
+
+    Errors of a robot without a foot's shape also name the meshes that are missing.
+    """
     try:
         yield
     except _core.PolypodError as error:
@@ -127,6 +133,8 @@ def _named_after(file: Path, staged: Path, name: str) -> Iterator[None]:
             staged / "configs" / "robots" / f"{name}.toml",
         ):
             text = text.replace(str(written), str(file))
+        if missing is not None and "collision shape" in text:
+            text = f"{text}; {missing}"
         raise type(error)(text.replace("of robot new", "of polypod add")) from error
 
 
@@ -172,13 +180,13 @@ def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], 
             f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out"
         )
     dirs = {**found.package_dirs, **folders}
-    if found.kind == "xacro":
+    text = "" if found.kind == "xacro" else urdf.read(found.file)
+    # many files with macros have the ending of a URDF
+    if found.kind == "xacro" or re.search(r"<xacro:\w", text):
         text = expand(found.file, dirs, {**found.arguments, **arguments})
-    else:
-        text = urdf.read(found.file)
     copy = urdf.copied(text, found.file, dirs)
     stem = found.file.name.partition(".")[0]
-    return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text)
+    return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text, missing=copy.missing)
 
 
 def _write(
@@ -237,14 +245,25 @@ def _write(
 def _summed_up(notes: list[str]) -> list[str]:
     """Notes of a draft, without temporary paths.
 
-    One note stands for all joints without an effort limit.
+    One note stands for all joints whose limits are missing or no motor's in the same way. Meshes
+    that are not found are named already.
     """
-    bare = [found[1] for note in notes if (found := _NO_EFFORT.match(note))]
-    kept = [_CHECK.sub("", note) for note in notes if not _NO_EFFORT.match(note)]
-    if bare:
-        names = description.listed(bare)
+    joints: dict[tuple[str, str], list[str]] = {}
+    values: dict[tuple[str, str], list[str]] = {}
+    kept = []
+    for note in notes:
+        found = _LIMIT.match(note)
+        if found is None:
+            kept += [] if _LOST.search(note) else [_CHECK.sub("", note)]
+            continue
+        problem, names, value, source = found.groups()
+        joints.setdefault((problem, source), []).extend(names.split(", "))
+        values.setdefault((problem, source), []).append(value)
+    for (problem, source), names_of in joints.items():
+        of_all = values[problem, source]
+        follow = f"{of_all[0]} follow" if len(of_all) == 1 else "limits follow"
         kept.append(
-            f"joint {names}: the file has no effort limit: it follows from weight and leg length; write the motor's"
+            f"joint {description.listed(names_of)}: the file{problem}: {follow} from {source}; write the motor's"
         )
     return kept
 

@@ -124,13 +124,16 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
             _without_visuals(mj, spec)
             _check_meshes(spec, file)
             base = _base(mj, spec, file, root)
-            _float(mj, base, file, notes)
+            _float(mj, spec, base, file, notes)
             model = spec.compile()
     except _core.PolypodError:
         raise
     except (ValueError, mj.FatalError) as error:
         text = " ".join(str(error).split())
         raise _core.ConfigError(f"{file}: MuJoCo does not compile it: {text}; correct the file") from error
+    for key in range(model.nkey):
+        if not np.isfinite(model.key_qpos[key]).all():
+            raise _core.ConfigError(f"{file}: <key> {key}: qpos has a number that is not finite; correct the keyframe")
     return Compiled(model, base.id, _name_of(spec.modelname, file), notes, spec)
 
 
@@ -246,7 +249,7 @@ def _base(mj: Any, spec: Any, file: Path, root: str | None) -> Any:
     return best[0]
 
 
-def _float(mj: Any, base: Any, file: Path, notes: list[str]) -> None:
+def _float(mj: Any, spec: Any, base: Any, file: Path, notes: list[str]) -> None:
     """Gives the base a free joint, if the file has none.
 
     Raises ConfigError where it moves on rails.
@@ -261,5 +264,24 @@ def _float(mj: Any, base: Any, file: Path, notes: list[str]) -> None:
             f"{file}: body {name}: its base moves on the joints {rails}, and a robot's base floats; write <freejoint/> "
             "in their place if the body can stand without them"
         )
+    _make_room(spec, base)
     base.add_freejoint()
     notes.append(f"the base {name} has no free joint: replaced: it floats")
+
+
+def _make_room(spec: Any, base: Any) -> None:
+    """Lets keyframes begin with the place of a base that gets a free joint."""
+    keys = list(spec.keys)
+    if not keys:
+        return
+    model = spec.compile()
+    first = sum(int(body) < base.id for body in model.jnt_bodyid)
+    q, v = (
+        int([*places, size][first]) for places, size in ((model.jnt_qposadr, model.nq), (model.jnt_dofadr, model.nv))
+    )
+    place = [*model.body_pos[base.id], *model.body_quat[base.id]]
+    for key in keys:
+        if len(key.qpos):
+            key.qpos = np.insert(np.asarray(key.qpos), q, place)
+        if len(key.qvel):
+            key.qvel = np.insert(np.asarray(key.qvel), v, np.zeros(6))

@@ -83,6 +83,12 @@ class Reader:
             self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out, as it is locked")
         links = self._links(drives)
         self.notes += left_out(self.made, self._ellipsoids)
+        moving = [link.joint for link in links if link.joint is not None and link.joint.name not in held]
+        light = [joint.name for joint in moving if not joint.armature]
+        if light:
+            self.notes.append(
+                f"joint {listed(light)}: the file has no armature: the rotor has no inertia; write the motor's"
+            )
         return Description(self.made.name, links, self.key, held, self.notes)
 
     def _unique(self, name: str, kind: str, index: int) -> str:

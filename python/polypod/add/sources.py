@@ -144,7 +144,9 @@ def _files(folder: Path, origin: str) -> list[Path]:
             )
         if len(Path(above).relative_to(folder).parts) >= DEEP:
             folders.clear()
-        found += [Path(above) / name for name in names if name.lower().endswith(_ENDINGS)]
+        # hidden ones are no descriptions: those of a Mac in a zip file have the names of others
+        folders[:] = [name for name in folders if not name.startswith(".") and name != "__MACOSX"]
+        found += [Path(above) / name for name in names if name.lower().endswith(_ENDINGS) and name[0] != "."]
     return sorted(path for path in found if path.is_file())
 
 

@@ -1,6 +1,7 @@
 """A URDF made part of a library: its text without visuals, and the collision meshes next to it."""
 
 import dataclasses
+import functools
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from polypod import _core
 from polypod.add.compiling import mujoco
-from polypod.add.description import Array, Description, Joint, Link, inertial_of, of_point, turned
+from polypod.add.description import Array, Description, Joint, Link, inertial_of, listed, of_point, turned
 from polypod.add.root import rooted
 from polypod.add.sources import MOST_BYTES
 from polypod.files import read_bytes, real_path
@@ -20,6 +21,10 @@ MOST_MESH = 256 << 20
 """Bytes of a mesh."""
 MOST_MESHES = 1 << 30
 """Bytes of all meshes of a robot."""
+MOST_PACKAGE = 1 << 20
+"""Bytes of a `package.xml`."""
+PACKAGE_ABOVE = 6
+"""Folders above a URDF in which its `package.xml` is looked for."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,6 +36,8 @@ class Copy:
     """By file name."""
     name: str
     notes: list[str]
+    missing: str | None = None
+    """Collision meshes that are not found, and the remedy."""
 
 
 def read(file: Path) -> str:
@@ -59,14 +66,14 @@ def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
     meshes: dict[str, bytes] = {}
     names: dict[Path, str] = {}
     shown = sum(len(link.findall("visual")) for link in root.iter("link"))
-    missing = 0
+    missing: list[str] = []
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
         for mesh in link.iter("mesh"):
             place = _resolved(mesh.get("filename", ""), file, package_dirs)
             if place is None:
-                missing += 1
+                missing.append(mesh.get("filename", ""))
                 continue
             if place not in names:
                 names[place] = _new_name(place, meshes)
@@ -78,15 +85,27 @@ def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
         for element in root.findall(tag):
             root.remove(element)
     notes = [f"{shown} visuals: left out"] if shown else []
-    if missing:
-        notes.append(f"{missing} collision meshes are not found: see the warnings; --package-dir names their package")
+    lost = _lost(missing)
+    if lost is not None:
+        notes.append(lost)
     ElementTree.indent(root)
     return Copy(
         '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n",
         meshes,
         root.get("name", ""),
         notes,
+        lost,
     )
+
+
+def _lost(meshes: list[str]) -> str | None:
+    """Note on meshes that are not found, with the remedy; None where there are none."""
+    if not meshes:
+        return None
+    named = (re.match(r"(?:package|model)://([^/]+)/", name) for name in meshes)
+    packages = list(dict.fromkeys(found[1] for found in named if found))
+    remedy = f"name the package's folder: --package-dir {packages[0]}=FOLDER" if packages else "put the file there"
+    return f"collision mesh {listed([name[:200] for name in dict.fromkeys(meshes)])}: not found: left out; {remedy}"
 
 
 def _parsed(text: str, file: Path) -> ElementTree.Element:
@@ -109,7 +128,12 @@ def root_link(text: str, file: Path) -> str:
 
 
 def _resolved(name: str, file: Path, package_dirs: Mapping[str, Path]) -> Path | None:
-    """The file of a mesh, looked for as the loader does; None where it is not there."""
+    """The file of a mesh; None where it is not there.
+
+    A package's folder is one of `package_dirs`, or above the URDF: one of the package's name, whose
+    `package.xml` has the name, or else one that has the mesh.
+    """
+    name = name.replace("\\", "/")
     package = re.match(r"(?:package|model)://([^/]+)/(.+)", name)
     folder = file.absolute().parent
     if package is None:
@@ -117,12 +141,25 @@ def _resolved(name: str, file: Path, package_dirs: Mapping[str, Path]) -> Path |
     elif package[1] in package_dirs:
         places = [package_dirs[package[1]] / package[2]]
     else:
-        places = [above / package[1] / package[2] for above in (folder, *folder.parents)]
+        above = (folder, *folder.parents)
+        places = [each / package[1] / package[2] for each in above]
+        places += [each / package[2] for each in above[:PACKAGE_ABOVE] if _package_name(each) == package[1]]
+        places += [each / package[2] for each in above[:2]]
     try:
         found = next((place for place in places if place.is_file()), None)
     except (OSError, ValueError):
         return None
     return None if found is None or not name else real_path(found)
+
+
+@functools.cache
+def _package_name(folder: Path) -> str | None:
+    """Name in the `package.xml` of a folder."""
+    try:
+        root = ElementTree.fromstring(read_bytes(folder / "package.xml", MOST_PACKAGE))
+    except (OSError, ValueError, ElementTree.ParseError, _core.ConfigError):
+        return None
+    return (root.findtext("name") or "").strip()
 
 
 def _new_name(place: Path, taken: Mapping[str, bytes]) -> str:
