@@ -87,14 +87,26 @@ impl Batch {
         })
     }
 
-    /// Whether all arrays are as long as those of `other`.
-    pub(crate) fn has_sizes_of(&self, other: &Self) -> bool {
-        let sizes = |batch: &Self| {
-            let numbers =
-                [&batch.actions, &batch.observations, &batch.rewards, &batch.final_observations].map(Vec::len);
-            let flags = [&batch.terminated, &batch.truncated, &batch.has_final].map(Vec::len);
-            (batch.num_envs, batch.num_obs, batch.num_actions, numbers, flags)
+    /// A copy of some rows.
+    pub(crate) fn select(&self, envs: &[usize]) -> Option<Self> {
+        let mut all = self.rows(0..0)?;
+        for &env in envs {
+            all.append(self.rows(env..env + 1)?);
+        }
+        Some(all)
+    }
+
+    /// Overwrites a row with one of a batch of the same widths.
+    pub(crate) fn put_row(&mut self, env: usize, from: &Self, row: usize) {
+        let wide = |to: &mut [f32], from: &[f32], width: usize| {
+            to[env * width..(env + 1) * width].copy_from_slice(&from[row * width..(row + 1) * width]);
         };
-        sizes(self) == sizes(other)
+        wide(&mut self.actions, &from.actions, self.num_actions);
+        wide(&mut self.observations, &from.observations, self.num_obs);
+        wide(&mut self.rewards, &from.rewards, 1);
+        wide(&mut self.final_observations, &from.final_observations, self.num_obs);
+        self.terminated[env] = from.terminated[row];
+        self.truncated[env] = from.truncated[row];
+        self.has_final[env] = from.has_final[row];
     }
 }

@@ -324,6 +324,28 @@ pub struct ExternalWrench {
     pub torque: [f32; 3],
 }
 
+/// A force and a torque on a link from outside, for some control steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LinkForce {
+    /// Number of the link.
+    pub link: u32,
+    /// Whether force and torque are in world axes and keep them; else they are in the engine's
+    /// axes of the link and turn with it.
+    pub in_world: bool,
+    /// Control steps that are left, the next one included.
+    pub steps: u32,
+    /// Point of the link at which the force acts, in the engine's axes of the link, m.
+    pub point: [f32; 3],
+    /// Force, N.
+    pub force: [f32; 3],
+    /// Torque, N m.
+    pub torque: [f32; 3],
+}
+
+/// Forces on links that a caller has set; at most one for each link. They end at a reset.
+#[derive(Component, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LinkForces(pub Vec<LinkForce>);
+
 /// A contact's impulse.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContactImpulse<T = f32> {

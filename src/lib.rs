@@ -35,7 +35,7 @@ pub mod world;
 pub use polypod_dynamics as dynamics;
 pub use polypod_learner as learner;
 
-pub use app::{Sim, dump, snapshot};
+pub use app::{ForceRows, LinkRows, ParameterRows, Sim, StateRows, dump, snapshot};
 pub use config::AVIAN_SUBSTEPS;
 pub use error::Error;
 pub use options::{Autoreset, SimOptions};

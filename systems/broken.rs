@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::terms::CompiledTask;
 use crate::blocks::Blocks;
 use crate::components::{
-    ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, Robot,
+    ActuatorDelay, ActuatorMemory, Body, Env, EnvId, Episode, ExternalWrench, JointTargets, LinkForces, Robot,
 };
 use crate::engine::{DivergenceRecord, Motion, StateLimits};
 
@@ -31,6 +31,8 @@ pub struct BrokenState {
     pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,
+    /// Forces on links from outside.
+    pub link_forces: LinkForces,
     /// The robot's own numbers.
     pub body: Body,
     /// The robot after it: broken.
@@ -90,7 +92,7 @@ pub(super) fn describe_broken_states(
     if !broken.evidence.is_empty() {
         let (robots, envs) = (robots.read()?, envs.read()?);
         let described = broken.evidence.drain(..).filter_map(
-            |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, after }| {
+            |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, link_forces, after }| {
                 let ((bodies, row), (episodes, _)) = (robots.at(env)?, envs.at(env)?);
                 let state = BrokenState {
                     env: EnvId(env as u32),
@@ -102,6 +104,7 @@ pub(super) fn describe_broken_states(
                     delay,
                     memory,
                     wrench,
+                    link_forces,
                     body: bodies[row].clone(),
                     after,
                 };

@@ -83,7 +83,7 @@ pub(crate) use mirror::mirror_all;
 pub(crate) use observe::observe_external;
 pub use observe::{ObservePlugin, add_observation};
 pub use physics::{PhysicsEngine, PhysicsPlugin, add_engine};
-pub(crate) use physics::{check_engine, load_engine, run_physics, save_engine};
+pub(crate) use physics::{check_engine, load_engine, restart_engine, run_physics, save_engine};
 pub use reset::ResetPlugin;
 pub use reward::RewardPlugin;
 pub(crate) use saved::{HeldRows, SavedColumn, SavedComponents};
@@ -183,6 +183,11 @@ struct RowOrder;
 #[derive(Resource, Clone, Copy, Debug, Default)]
 pub struct ResetRequest(pub bool);
 
+/// Whether [`ResetEnvs`] computes what follows from states that a caller has written, of robots
+/// that stay where they are, rather than from resets.
+#[derive(Resource, Clone, Copy, Debug, Default)]
+pub struct StateWritten(pub bool);
+
 plugin_group! {
     /// A simulation of many envs. [`Sim::from_app`](crate::Sim::from_app) makes it of an app that
     /// has these plugins and [`SimOptions`](crate::SimOptions) as a resource.
@@ -280,6 +285,7 @@ impl Plugin for PipelinePlugin {
         app.init_resource::<Engines>()
             .init_resource::<Autoreset>()
             .init_resource::<ResetRequest>()
+            .init_resource::<StateWritten>()
             .init_resource::<SavedComponents>();
         app.insert_resource(FallbackErrorHandler(faults::note));
         if !app.world().contains_resource::<Registry>() {

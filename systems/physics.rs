@@ -8,7 +8,7 @@ use super::load::InstructionSet;
 use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet, Setup, SetupSet, faults};
 use crate::blocks::{BlockSizes, Blocks};
-use crate::components::{Body, Env, EnvId, EnvOrigin, Robot};
+use crate::components::{Body, Env, EnvId, EnvOrigin, LinkForces, Robot};
 use crate::engine::{Engine, EngineFactory, EngineSetup, Engines, RobotColumns, RobotSlices, Run};
 use crate::error::Error;
 use crate::morphology::Morphologies;
@@ -24,7 +24,7 @@ impl Plugin for PhysicsPlugin {
         app.add_systems(Setup, make_engine.in_set(SetupSet::Engine));
         app.add_systems(
             ControlStep,
-            (upload_bodies, step_physics, describe_broken_states).chain().in_set(PipelineSet::Physics),
+            (upload_bodies, step_physics, end_forces, describe_broken_states).chain().in_set(PipelineSet::Physics),
         );
     }
 }
@@ -60,6 +60,13 @@ fn make_engine(
     commands.insert_resource(PhysicsEngine(engine));
     commands.insert_resource(BrokenStates::new(blocks.0.len()));
     Ok(())
+}
+
+/// Lets the engine forget what it keeps of these envs beyond their components, which were set.
+pub(crate) fn restart_engine(world: &mut World, envs: &[usize]) {
+    if let Some(mut engine) = world.get_resource_mut::<PhysicsEngine>() {
+        envs.iter().for_each(|&env| engine.0.restart(env));
+    }
 }
 
 /// Engine state of each env beyond its components, as bytes.
@@ -109,6 +116,19 @@ pub(super) fn step_physics(
     let run = Run { steps, gains: true, limits: &task.limits, watched: broken.watched() };
     let records = engine.0.step(&workers, blocks, run);
     broken.note(records);
+    Ok(())
+}
+
+/// Counts the control steps of the forces on links, and ends those that have acted long enough.
+pub(super) fn end_forces(mut robots: Blocks<&'static mut LinkForces, Robot>) -> Result {
+    for block in robots.write()? {
+        for LinkForces(forces) in block.rows {
+            if !forces.is_empty() {
+                forces.iter_mut().for_each(|force| force.steps -= 1);
+                forces.retain(|force| force.steps > 0);
+            }
+        }
+    }
     Ok(())
 }
 

@@ -3,6 +3,7 @@
 
 use bevy_ecs::prelude::*;
 
+use super::StateWritten;
 use crate::blocks::{Block, Blocks};
 use crate::components::{BasePose, BaseVelocity, Body, Env, EnvOrigin, Episode, Feet, JointState, Robot};
 use crate::dynamics::lanes::Kernel;
@@ -27,11 +28,13 @@ type Scratch = Vec<Option<Workspace<f32>>>;
 
 /// Lifts the robots whose episode has just begun above the ground, and places their feet.
 ///
-/// The reset sampled a pose, and maybe a body, with another lowest point than the default pose.
+/// The reset sampled a pose, and maybe a body, with another lowest point than the default pose. A
+/// robot whose state a caller has written stays where it is.
 pub(super) fn place_robots(
     workers: Res<Workers>,
     morphologies: Res<Morphologies>,
     ground: Res<Ground>,
+    written: Res<StateWritten>,
     mut pool: Local<Option<Pool<Scratch>>>,
     mut robots: Blocks<RobotColumns, Robot>,
     envs: Blocks<(&'static Episode, &'static EnvOrigin), Env>,
@@ -43,13 +46,14 @@ pub(super) fn place_robots(
     let morphologies = &*morphologies;
     let scratch = || morphologies.0.iter().map(|_| None).collect();
     let pool = &*pool.get_or_insert_with(|| Pool::new(workers.threads(), scratch));
-    let ground = &*ground;
+    let (ground, lifts) = (&*ground, !written.0);
     robots.write()?.zip(envs).for_each_chunk(&workers, |Block { morphology, rows, .. }| {
         let ((bodies, velocities, joints, poses, feet), (episodes, origins)) = rows;
         pool.with(|scratch| {
             workers.dispatch().vectorize(PlacedRows {
                 morphology: morphologies.get(morphology),
                 ground,
+                lifts,
                 work: &mut scratch[usize::from(morphology.0)],
                 bodies,
                 velocities,
@@ -67,6 +71,7 @@ pub(super) fn place_robots(
 struct PlacedRows<'a> {
     morphology: &'a MorphologyModel,
     ground: &'a Ground,
+    lifts: bool,
     work: &'a mut Option<Workspace<f32>>,
     bodies: &'a [Body],
     velocities: &'a [BaseVelocity],
@@ -82,7 +87,7 @@ impl Kernel<f32> for PlacedRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { morphology, ground, work, bodies, velocities, joints, episodes, origins, poses, feet } = self;
+        let Self { morphology, ground, lifts, work, bodies, velocities, joints, episodes, origins, poses, feet } = self;
         for i in 0..bodies.len() {
             if !episodes[i].fresh {
                 continue;
@@ -92,6 +97,7 @@ impl Kernel<f32> for PlacedRows<'_> {
                 topology: &morphology.topology,
                 parameters: &bodies[i].0,
                 rotation: quat_to_mat(&poses[i].rotation),
+                lifts,
                 work,
             };
             posed.place(morphology, ground, &origins[i], (&velocities[i], &joints[i]), &mut poses[i], &mut feet[i]);
@@ -105,6 +111,8 @@ struct Posed<'a> {
     parameters: &'a Parameters<f32>,
     /// Turns base axes to world axes.
     rotation: Mat3<f32>,
+    /// Whether it is lifted above the ground.
+    lifts: bool,
     work: &'a mut Workspace<f32>,
 }
 
@@ -122,6 +130,20 @@ impl Posed<'_> {
         let base = Spatial { ang: velocity.angular, lin: mul_vec_transposed(&self.rotation, &velocity.linear) };
         let (q, qd) = (&joints.position, &joints.velocity);
         f32::forward_kinematics(self.topology, self.parameters, q, qd, &base, self.work);
+        if self.lifts {
+            self.lift(morphology, ground, origin, pose);
+        }
+        for (s, &link) in self.topology.sites.iter().enumerate() {
+            let (at, motion) = point_motion(&self.work.links[link], &self.parameters.site_position[s]);
+            feet.position[s] = add(&pose.position, &mul_vec(&self.rotation, &at));
+            feet.velocity[s] = mul_vec(&self.rotation, &motion);
+        }
+        feet.measure(ground, origin);
+    }
+
+    /// Lifts the base until no collision shape is nearer to the ground than the reset's margin.
+    #[inline(always)]
+    fn lift(&self, morphology: &MorphologyModel, ground: &Ground, origin: &EnvOrigin, pose: &mut BasePose) {
         let margin = morphology.config.reset.spawn_margin as f32;
         let missing = match &ground.terrain {
             None => margin - (pose.position[2] + self.lowest() - ground.height as f32),
@@ -136,12 +158,6 @@ impl Posed<'_> {
         if missing > TOLERANCE {
             pose.position[2] += missing;
         }
-        for (s, &link) in self.topology.sites.iter().enumerate() {
-            let (at, motion) = point_motion(&self.work.links[link], &self.parameters.site_position[s]);
-            feet.position[s] = add(&pose.position, &mul_vec(&self.rotation, &at));
-            feet.velocity[s] = mul_vec(&self.rotation, &motion);
-        }
-        feet.measure(ground, origin);
     }
 
     /// Height of a contact candidate's lowest point above the base's origin, m, and its centre,

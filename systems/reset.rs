@@ -16,7 +16,7 @@ use crate::blocks::{Block, Blocks};
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
     Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, JointEffort, JointState, JointTargets,
-    Robot, Stance,
+    LinkForces, Robot, Stance,
 };
 use crate::config::quantities::{Angle, Coordinate};
 use crate::config::{JointPositionMode, values};
@@ -57,6 +57,7 @@ type RobotColumns = (
     &'static mut ConstraintImpulses,
     &'static mut ContactForces,
     &'static mut ExternalWrench,
+    &'static mut LinkForces,
 );
 
 /// Components of envs that a reset writes.
@@ -101,6 +102,7 @@ pub(super) fn reset_envs(
             impulses,
             forces,
             wrenches,
+            link_forces,
         ) = robots;
         let command_config = &task.commands[usize::from(morphology.0)];
         let morphology = morphologies.get(morphology);
@@ -148,6 +150,7 @@ pub(super) fn reset_envs(
                 }
             }
             *wrench = ExternalWrench::default();
+            link_forces[i].0.clear();
             let body = &*bodies[i].0;
             for event in &task.reset_events {
                 event(&mut NewState { morphology, pose, velocity, joints, delay, wrench, body }, rng);

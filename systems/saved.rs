@@ -1,7 +1,5 @@
 //! Snapshots of entities: the saved components, one line each.
 
-use std::ops::Range;
-
 use bevy_app::App;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
@@ -13,7 +11,7 @@ use crate::blocks::RowKind;
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
     ContactSensor, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan,
-    Imu, JointDescriptors, JointEffort, JointState, JointTargets, Morphology, Stance, StartupBody,
+    Imu, JointDescriptors, JointEffort, JointState, JointTargets, LinkForces, Morphology, Stance, StartupBody,
 };
 use crate::config::TaskConfig;
 use crate::error::Error;
@@ -38,8 +36,8 @@ pub trait Saved: Component<Mutability = Mutable> + Clone + Serialize + Deseriali
 /// The rows of this simulation among those that a snapshot holds.
 #[derive(Clone, Debug)]
 pub(crate) struct HeldRows {
-    /// The rows of this simulation.
-    pub(crate) own: Range<usize>,
+    /// The snapshot's row of each env of this simulation; absent for an env that stays as it is.
+    pub(crate) own: Vec<Option<usize>>,
     /// The morphology of each row of the snapshot.
     pub(crate) morphologies: Vec<Morphology>,
 }
@@ -50,7 +48,7 @@ type Write = Box<dyn FnOnce(&mut World)>;
 struct SavedComponent {
     name: &'static str,
     is_on: IsOn,
-    save: fn(&mut World) -> postcard::Result<Vec<u8>>,
+    save: fn(&mut World, Option<&[usize]>) -> postcard::Result<Vec<u8>>,
     load: fn(&mut World, &[u8], &HeldRows, IsOn) -> Result<Write, String>,
 }
 
@@ -85,10 +83,10 @@ pub(super) fn measure_after_restore(app: &mut App, measure: fn(&mut World) -> Re
 }
 
 impl SavedComponents {
-    /// Saves all components.
-    pub(crate) fn save(world: &mut World) -> postcard::Result<Vec<SavedColumn>> {
+    /// Saves all components, of all envs or of these in rising order.
+    pub(crate) fn save(world: &mut World, envs: Option<&[usize]>) -> postcard::Result<Vec<SavedColumn>> {
         let all: Vec<_> = world.resource::<Self>().all.iter().map(|saved| (saved.name, saved.save)).collect();
-        all.into_iter().map(|(name, save)| Ok((name.to_string(), save(world)?))).collect()
+        all.into_iter().map(|(name, save)| Ok((name.to_string(), save(world, envs)?))).collect()
     }
 
     /// Reads all components; nothing changes before the returned function is called.
@@ -127,10 +125,12 @@ impl SavedComponents {
     }
 }
 
-fn save<C: Saved>(world: &mut World) -> postcard::Result<Vec<u8>> {
+fn save<C: Saved>(world: &mut World, envs: Option<&[usize]>) -> postcard::Result<Vec<u8>> {
     let mut rows: Vec<(EnvId, &C)> = Vec::new();
     let mut query = world.query::<(&EnvId, &C)>();
-    rows.extend(query.iter(world).map(|(id, component)| (*id, component)));
+    let is_saved = |id: &EnvId| envs.is_none_or(|envs| envs.binary_search(&(id.0 as usize)).is_ok());
+    let all = query.iter(world).filter(|(id, _)| is_saved(id));
+    rows.extend(all.map(|(id, component)| (*id, component)));
     rows.sort_by_key(|(id, _)| *id);
     postcard::to_stdvec(&rows.into_iter().map(|(_, component)| component).collect::<Vec<_>>())
 }
@@ -144,22 +144,28 @@ fn load<C: Saved>(world: &mut World, bytes: &[u8], rows: &HeldRows, is_on: IsOn)
     let has: Vec<bool> = morphologies.0.iter().map(|morphology| is_on(morphology, task)).collect();
     let has = |morphology: &Morphology| has[usize::from(morphology.0)];
     let count = rows.morphologies.iter().filter(|morphology| has(morphology)).count();
-    if values.len() != count || rows.own.end > rows.morphologies.len() {
+    if values.len() != count {
         return Err(format!("{name}: there are {}, which is another number of envs", values.len()));
     }
     let mut values = values.into_iter();
     let of_env = rows.morphologies.iter().map(|morphology| if has(morphology) { values.next() } else { None });
-    let mut values: Vec<Option<C>> = of_env.take(rows.own.end).skip(rows.own.start).collect();
+    let mut values: Vec<Option<C>> = of_env.collect();
+    let own = rows.own.clone();
+    let row_of = move |env: &EnvId| own.get(env.0 as usize).copied().flatten();
     for (env, tag, present) in query.iter(world) {
+        let Some(row) = row_of(env) else {
+            continue;
+        };
         let place = Place { morphology: morphologies.get(*tag), ground };
-        let value = values.get(env.0 as usize).and_then(Option::as_ref);
+        let value = values.get(row).and_then(Option::as_ref);
         if !value.is_some_and(|value| value.fits(present, &place)) {
             return Err(format!("{name} of env {} has other sizes than here", env.0));
         }
     }
     Ok(Box::new(move |world| {
         for (env, mut component) in world.query::<(&EnvId, &mut C)>().iter_mut(world) {
-            if let Some(value) = values.get_mut(env.0 as usize).and_then(Option::take) {
+            let row = row_of(env).and_then(|row| values.get_mut(row));
+            if let Some(value) = row.and_then(Option::take) {
                 *component = value;
             }
         }
@@ -266,6 +272,13 @@ impl Saved for ContactForces {
         let bodies = place.morphology.topology.num_bodies;
         (self.feet.len(), self.feet_normal.len()) == (present.feet.len(), present.feet_normal.len())
             && self.others.iter().all(|force| (force.body as usize) < bodies)
+    }
+}
+
+impl Saved for LinkForces {
+    fn fits(&self, _: &Self, place: &Place) -> bool {
+        let links = place.morphology.topology.num_links();
+        self.0.iter().all(|force| (force.link as usize) < links && force.steps > 0)
     }
 }
 

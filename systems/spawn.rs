@@ -11,7 +11,7 @@ use crate::blocks::BlockSizes;
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
     Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
-    JointTargets, Morphology, PerJoint, Robot, Stance, StartupBody,
+    JointTargets, LinkForces, Morphology, PerJoint, Robot, Stance, StartupBody,
 };
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -46,6 +46,7 @@ impl Plugin for SpawnPlugin {
         save_component::<StartupBody>(app);
         save_component::<Stance>(app);
         save_component::<ExternalWrench>(app);
+        save_component::<LinkForces>(app);
     }
 }
 
@@ -95,7 +96,7 @@ fn robot_components(model: &MorphologyModel, decimation: usize) -> impl Bundle {
         ConstraintImpulses { contacts: smallvec![], bounds: zeros },
         ContactForces::zeros(model.feet.len(), decimation),
         Feet::zeros(model.feet.len()),
-        (ExternalWrench::default(), model.stance.clone(), StartupBody::default()),
+        (ExternalWrench::default(), LinkForces::default(), model.stance.clone(), StartupBody::default()),
         Body(Box::new(model.nominal.clone())),
     )
 }

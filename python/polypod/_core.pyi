@@ -98,6 +98,47 @@ class TerrainEntry(TypedDict):
     """Rectangles of heightfields that reach below the plane: smallest and largest x and y, about
     the same origin."""
 
+class LinkStates(TypedDict):
+    """All links of the n envs of a robot, in the order of `VecSim.link_names`.
+
+    Float32. Frames are those of the URDF, world axes.
+    """
+
+    pos: npt.NDArray[np.float32]
+    """[n, links, 3], origins relative to the env's origin on the ground, m, as `State.base_pos`."""
+    quat: npt.NDArray[np.float32]
+    """[n, links, 4], orientations: w, x, y, z with w >= 0."""
+    lin_vel: npt.NDArray[np.float32]
+    """[n, links, 3], velocities of the origins, m/s."""
+    ang_vel: npt.NDArray[np.float32]
+    """[n, links, 3], angular velocities, rad/s."""
+    contact_force: npt.NDArray[np.float32]
+    """[n, links, 3], net contact forces of the last physics step, N."""
+
+class Parameters(TypedDict):
+    """Present parameters of the n envs of a robot, float32."""
+
+    static_friction: npt.NDArray[np.float32]
+    """[n], between robot and ground, combined."""
+    dynamic_friction: npt.NDArray[np.float32]
+    """[n], between robot and ground, combined."""
+    mass: npt.NDArray[np.float32]
+    """[n, links], kg, in the order of `VecSim.link_names`; the base is the first."""
+    stiffness: npt.NDArray[np.float32]
+    """[n, num_actions], N m/rad, canonical order; 0 for missing joints and for networks."""
+    damping: npt.NDArray[np.float32]
+    """[n, num_actions], N m s/rad, canonical order."""
+
+class StateValues(TypedDict, total=False):
+    """Arguments of `VecSim.set_state` by name."""
+
+    base_pos: npt.ArrayLike
+    base_quat: npt.ArrayLike
+    base_lin_vel: npt.ArrayLike
+    base_ang_vel: npt.ArrayLike
+    joint_pos: npt.ArrayLike
+    joint_vel: npt.ArrayLike
+
 class CoreInfo(TypedDict):
     version: str
     simd: str
@@ -326,7 +367,11 @@ class VecSim:
 
     Envs of one robot are contiguous: robot r of R gets floor(num_envs / R) envs, the first
     (num_envs mod R) robots one more. An env's trajectory depends on the seed, its robot, its place
-    in that robot's block, its configuration and its actions alone.
+    in that robot's block, its configuration, its actions and what was set in it alone.
+
+    Arrays that are handed out are guarded against writing (`flags.writeable` is False): views of
+    the simulator's memory and copies of its state. To change the simulation, call `set_state`,
+    `set_command` and the like; to change an array, `copy` it.
     """
 
     def __init__(
@@ -573,12 +618,165 @@ class VecSim:
     def config_hash(self) -> str:
         """A hash of everything that decides what the simulation does, the seed left out."""
 
-    def reset(self, seed: int | None = None, mask: npt.NDArray[np.bool_] | None = None) -> None:
+    def reset(
+        self,
+        seed: int | None = None,
+        mask: npt.NDArray[np.bool_] | None = None,
+        state: StateValues | None = None,
+    ) -> None:
         """Begins new episodes.
 
         Args:
             seed: restarts the random streams; None: they go on.
             mask: bool [num_envs], the envs to reset; None: all.
+            state: arguments of `set_state` with a row per env of the mask; what is absent is as the
+                reset draws it.
+        """
+
+    def set_state(
+        self,
+        env_ids: npt.ArrayLike | None = None,
+        *,
+        base_pos: npt.ArrayLike | None = None,
+        base_quat: npt.ArrayLike | None = None,
+        base_lin_vel: npt.ArrayLike | None = None,
+        base_ang_vel: npt.ArrayLike | None = None,
+        joint_pos: npt.ArrayLike | None = None,
+        joint_vel: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets the state of some envs in the middle of their episodes.
+
+        Order, units and frames are those of `polypod.State`: what it gives can be set again. What
+        is absent stays as it gives it. Each argument is an array [n, width] with a row for each of
+        `env_ids`, or one row for all of them.
+
+        Sensors, feet, links and the observation are computed for the new state as after a reset:
+        accelerations, efforts, contact forces and times are 0, a history is filled with the new
+        numbers, and the solver and actuator networks start without memory. Commands, actions and
+        the length of the episode stay. Nothing lifts a robot out of the ground, and a joint up to
+        0.1 rad beyond its limit is taken as it is: the next steps push both back.
+
+        Args:
+            env_ids: rows of the envs, e.g. [0, 3] or `np.flatnonzero(mask)`; None: all.
+            base_pos: [n, 3], position relative to the env's origin on the ground, m.
+            base_quat: [n, 4], orientation w, x, y, z, of length one within 0.001.
+            base_lin_vel: [n, 3], velocity of the base's centre of mass, base axes, m/s.
+            base_ang_vel: [n, 3], angular velocity, base axes, rad/s.
+            joint_pos: [n, num_actions], rad; columns of missing joints do nothing.
+            joint_vel: [n, num_actions], rad/s.
+
+        Raises:
+            TypeError: for arguments that are no numbers, and for a mask in the place of env ids.
+            ValueError: for another shape.
+            ConfigError: for a number that is not finite or so large that the state counts as
+                broken, another quaternion, a joint further beyond its limit, an env that does not
+                exist, is there twice or whose state has broken. Nothing has changed then.
+        """
+
+    def set_friction(
+        self,
+        static_friction: npt.ArrayLike,
+        dynamic_friction: npt.ArrayLike | None = None,
+        env_ids: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets the friction coefficients of robots; the ground's are combined with them.
+
+        As in Isaac Lab, what this, `set_mass` and `set_gains` set holds through resets, until it is
+        set again. An event of the task that draws the same number at a reset starts from it, and a
+        reset with a seed draws all numbers from the beginning. Snapshots hold it.
+
+        Args:
+            static_friction: [n], a number for each of `env_ids`, or one for all.
+            dynamic_friction: the same; None: the static one.
+            env_ids: rows of the envs; None: all.
+
+        Raises:
+            ValueError: for another shape.
+            ConfigError: for a coefficient that is negative or not finite, and for no such env.
+        """
+
+    def set_mass(self, mass: npt.ArrayLike, link: str | None = None, env_ids: npt.ArrayLike | None = None) -> None:
+        """Sets the mass of a link; its inertia about the centre of mass is scaled along.
+
+        It holds as `set_friction` says. A payload: `sim.parameters(robot)["mass"][:, 0] + 3.0`.
+
+        Args:
+            mass: kg, [n], a number for each of `env_ids`, or one for all.
+            link: its name, see `link_names`; None: the base of each robot.
+            env_ids: rows of the envs; None: all.
+
+        Raises:
+            ValueError: for another shape.
+            UnknownNameError: for a link that one of these robots does not have.
+            ConfigError: for a mass that is not positive and finite, and for no such env.
+        """
+
+    def set_gains(
+        self,
+        stiffness: npt.ArrayLike | None = None,
+        damping: npt.ArrayLike | None = None,
+        env_ids: npt.ArrayLike | None = None,
+    ) -> None:
+        """Sets gains of the actuators; they hold as `set_friction` says.
+
+        Args:
+            stiffness: N m/rad, [n, num_actions] in canonical order, one row for all of `env_ids`,
+                or one number; columns of missing joints do nothing. None: as it is.
+            damping: N m s/rad, the same.
+            env_ids: rows of the envs; None: all.
+
+        Raises:
+            ValueError: for another shape.
+            ConfigError: for a gain that is negative or not finite, for no such env, and for robots
+                whose actuators are networks.
+        """
+
+    def parameters(self, robot: str) -> Parameters:
+        """Present friction, masses and gains of the n envs of `env_ids(robot)`.
+
+        Raises UnknownNameError.
+        """
+
+    def apply_force(
+        self,
+        force: npt.ArrayLike,
+        torque: npt.ArrayLike | None = None,
+        *,
+        link: str | None = None,
+        env_ids: npt.ArrayLike | None = None,
+        frame: str = "world",
+        point: npt.ArrayLike | None = None,
+        steps: int | None = None,
+        duration_s: float | None = None,
+    ) -> None:
+        """Lets a force and a torque act on a link in the next control step, or in several.
+
+        They are zero afterwards. A later call for the same link of an env takes the place of this
+        one, forces on different links add up, and a reset ends them. Snapshots hold them.
+
+        Args:
+            force: N, [n, 3] with a row for each of `env_ids`, or [3].
+            torque: N m, the same; None: none.
+            link: its name, see `link_names`; None: the base of each robot.
+            env_ids: rows of the envs; None: all.
+            frame: "world": force and torque keep their directions in the world; "link": they are in
+                the axes of the link's URDF frame and turn with it.
+            point: where the force acts, in the link's URDF frame, m, [n, 3] or [3]; None: at the
+                link's centre of mass.
+            steps: control steps; None: one.
+            duration_s: a time in the place of `steps`, rounded up to control steps.
+
+        Raises:
+            ValueError: for another shape or frame, and for a time that is not positive.
+            UnknownNameError: for a link that one of these robots does not have.
+            ConfigError: for a number that is not finite, no step, and no such env.
+        """
+
+    def links(self, robot: str) -> LinkStates:
+        """Poses, velocities and contact forces of all links in the n envs of `env_ids(robot)`.
+
+        Computed now, of each env's body as it was randomised; a broken state gives zeros. Raises
+        UnknownNameError.
         """
 
     def step(self, actions: npt.NDArray[np.float32]) -> None:
@@ -633,7 +831,7 @@ class VecSim:
         """[num_envs], envs whose episode ended in the last step and that were reset in it."""
 
     def state(self, field: str) -> npt.NDArray[np.float32]:
-        """One quantity of every robot, float32 [num_envs, n], gathered now: a copy, yours to keep.
+        """One quantity of every robot, float32 [num_envs, n], gathered now: a copy for reading.
 
         The fields are the properties of `polypod.State`, which says what they hold. A broken state
         is gathered as zeros.
@@ -685,10 +883,10 @@ class VecSim:
     def command(self) -> npt.NDArray[np.float32]:
         """[num_envs, 3], commanded velocity in the base frame: x, y (m/s), yaw rate (rad/s)."""
 
-    def set_command(self, command: npt.NDArray[np.float32] | None) -> None:
-        """Pins the commands to float32 [num_envs, 3]: no resampling, no heading controller.
+    def set_command(self, command: npt.NDArray[np.float32] | None, env_ids: npt.ArrayLike | None = None) -> None:
+        """Pins commands to float32 [n, 3]: no resampling, no heading controller.
 
-        None releases them.
+        None releases them. `env_ids` are the rows of the n envs; None: all.
         """
 
     def observe_external(self, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_] | None = None) -> None:
@@ -813,13 +1011,20 @@ class VecSim:
             ConfigError: for a path with a zero byte.
         """
 
-    def snapshot(self) -> bytes:
-        """The whole state, random streams and current observations included."""
+    def snapshot(self, env_ids: npt.ArrayLike | None = None) -> bytes:
+        """The whole state, random streams and current observations included.
 
-    def restore(self, data: bytes) -> None:
+        With `env_ids`, rows of envs, theirs alone, without the statistics of episodes. Raises
+        ConfigError for no such env.
+        """
+
+    def restore(self, data: bytes, env_ids: npt.ArrayLike | None = None) -> None:
         """Returns to a `snapshot` of an equal configuration, this share's or that of a larger one.
 
-        Raises ConfigError for any other bytes.
+        A snapshot of some envs restores these. With `env_ids` only these envs of the snapshot are
+        restored. All other envs, the seed and the statistics then stay as they are.
+
+        Raises ConfigError for any other bytes, and for an env that they do not hold.
         """
 
 class Simulation:

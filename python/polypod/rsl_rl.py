@@ -22,6 +22,8 @@ try:
     import rsl_rl.env
     import torch
     from tensordict import TensorDict
+
+    from polypod.tensors import tensor_over
 except ModuleNotFoundError as error:
     raise missing(error, "polypod.rsl_rl", "train") from error
 
@@ -86,7 +88,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         A copy: what is written into it changes nothing. Assign a whole tensor,
         `env.episode_length_buf = lengths`.
         """
-        return torch.from_numpy(self._sim.episode_length).to(self.device)
+        return torch.from_numpy(self._sim.episode_length.copy()).to(self.device)
 
     @episode_length_buf.setter
     def episode_length_buf(self, value: torch.Tensor) -> None:
@@ -171,7 +173,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         """
         for group, buffer in buffers.items():
             is_policy = group == "policy"
-            host = torch.from_numpy(self._source.observation if is_policy else self._sim.observation_of(group))
+            host = tensor_over(self._source.observation if is_policy else self._sim.observation_of(group))
             if self.device.type == "cuda":
                 host = self._in_pinned_memory(group, host)
             buffer.copy_(host, non_blocking=True)
@@ -198,7 +200,7 @@ class VecEnv(rsl_rl.env.VecEnv):
         The pinned buffer is free again when the next step begins, because the actions of that step
         came off the device after this copy was queued.
         """
-        host = torch.from_numpy(array)
+        host = tensor_over(array)
         if self.device.type == "cpu":
             return host
         return self._in_pinned_memory(name, host).to(self.device, non_blocking=True)

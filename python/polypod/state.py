@@ -15,7 +15,8 @@ class State:
     """Present state of the robots, for terms in Python.
 
     Each property is a float32 array [num_envs, n], gathered when it is asked for: a copy, yours to
-    keep, of the state after the last step or reset. Under same-step autoreset that is the new
+    keep, of the state after the last step or reset. It is guarded against writing, which would
+    change nothing; `VecSim.set_state` sets states. Under same-step autoreset that is the new
     episode's state where one has ended; build the env with `autoreset="disabled"` to see the last
     state of an episode, as `polypod.terms.CustomTerms` does.
 

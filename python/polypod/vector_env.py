@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import gymnasium
 import numpy as np
@@ -120,9 +120,9 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
     """Many legged robots that track velocity commands.
 
     Arrays that are handed out are yours to keep. With `copy=False` they are the simulator's own and
-    cost nothing: an observation stays valid until the step after the next one (two buffers
-    alternate), rewards and flags until the next step. `polypod.rsl_rl.VecEnv` reads the simulator's
-    own arrays either way.
+    cost nothing, and are guarded against writing: an observation stays valid until the step after
+    the next one (two buffers alternate; `set_state` counts as a step), rewards and flags until the
+    next step. `polypod.rsl_rl.VecEnv` reads the simulator's own arrays either way.
 
     An observation is float32 [num_envs, num_obs], see `observation_layout`; an action is [num_envs,
     num_actions], one number per canonical joint: the target is `default_pose + action_scale *
@@ -250,13 +250,16 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
 
         Args:
             seed: restarts every random stream; None: they go on.
-            options: `reset_mask`, bool [num_envs]: the envs to reset; without it all are.
+            options: `reset_mask`, bool [num_envs]: the envs to reset; without it all are. `state`:
+                arguments of `VecSim.set_state` by name, such as {"joint_pos": ...}, with a row for
+                each env that is reset: where these begin; what is absent is drawn.
 
         Raises:
-            ConfigError: for an option that does not exist, and for a mask of another shape or
-                without a single True.
-            TypeError: for a mask that is not a NumPy array of bools, and for a seed that is not one
-                int.
+            ConfigError: for an option that does not exist, for a mask of another shape or without a
+                single True, and for a state that `set_state` refuses.
+            TypeError: for a mask that is not a NumPy array of bools, for a state that is no dict,
+                and for a seed that is not one int.
+            ValueError: for a part of a state that does not exist or has another shape.
         """
         sim = self._ready("reset")
         if seed is not None:
@@ -264,16 +267,21 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             super().reset(seed=seed)
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
+        state = options.pop("state", None)
         if options:
-            raise _core.ConfigError(f"unknown reset option {next(iter(options))!r}; the only one is 'reset_mask'")
+            raise _core.ConfigError(f"unknown reset option {next(iter(options))!r}; use 'reset_mask' or 'state'")
+        if state is not None and not isinstance(state, Mapping):
+            found = type(state).__name__
+            raise TypeError(f"options['state'] is a {found}; pass a dict, e.g. {{'joint_pos': positions}}")
+        values = None if state is None else cast("_core.StateValues", dict(state))
         if mask is None:
-            sim.reset(seed)
+            sim.reset(seed, None, values)
             self._needs_reset[:] = False
         else:
             self._check_mask(mask)
             # `terminated` itself, which the reset writes to, may be the mask
             mask = mask.copy()
-            sim.reset(seed, mask)
+            sim.reset(seed, mask, values)
             self._needs_reset[mask] = False
         return self._handed_out(sim.observation), self._masks()
 

@@ -16,7 +16,7 @@ use toml::Table;
 use super::Sim;
 use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, ConstraintImpulses, JointEffort, JointState,
-    JointTargets,
+    JointTargets, LinkForces,
 };
 use crate::config::{ConfigError, Layers, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::lanes::Simd;
@@ -32,7 +32,7 @@ use crate::world::Ground;
 
 const KIND: &str = "polypod dump of a broken state";
 /// Changes whenever the layout of a dump does.
-const FORMAT: u32 = 8;
+const FORMAT: u32 = 9;
 
 /// A control step that broke a state, and the robot and task it happened to.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -131,6 +131,7 @@ impl Dump {
         set(&mut sim, state.delay.clone());
         set(&mut sim, state.memory.clone());
         set(&mut sim, state.wrench);
+        set(&mut sim, state.link_forces.clone());
         let mut steps = Vec::with_capacity(decimation);
         for substep in 0..decimation {
             let targets = self.targets_in(substep, decimation, get::<JointTargets>(&mut sim)?.history.len());
@@ -214,6 +215,7 @@ impl Dump {
             && state.delay.fits(&delay, &place)
             && state.memory.fits(&memory, &place)
             && state.body.fits(&body, &place)
+            && state.link_forces.fits(&LinkForces::default(), &place)
             && !targets.is_empty()
             && targets.iter().all(|list| list.len() == joints.position.len()))
         {

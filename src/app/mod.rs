@@ -1,5 +1,6 @@
 //! A simulation of many envs: a headless Bevy app that is stepped by its caller.
 
+mod changes;
 pub mod dump;
 mod external;
 mod learning;
@@ -28,7 +29,8 @@ use crate::systems::{
 };
 use crate::workers::Workers;
 
-pub use sim_queries::RobotStates;
+pub use changes::{ForceRows, ParameterRows, StateRows};
+pub use sim_queries::{LinkRows, RobotStates};
 
 /// A headless Bevy app of many envs, ready to step.
 ///

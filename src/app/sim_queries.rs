@@ -1,13 +1,19 @@
 //! Queries and changes of a caller between control steps: states of the robots, ends of their
 //! episodes.
 
+use std::ops::Range;
+
 use bevy_ecs::prelude::*;
 use glam::{DMat3, DQuat, DVec3};
 
 use super::Sim;
 use crate::batch::Batch;
 use crate::bounds::MAX_COMMAND;
-use crate::components::{BasePose, BaseVelocity, Command, ContactForces, EnvId, Episode, JointState, Robot};
+use crate::components::{
+    BasePose, BaseVelocity, Body, Command, ContactForces, EnvId, EnvOrigin, Episode, JointState, Robot,
+};
+use crate::dynamics::math::{Mat3, Spatial, add, mul_mat, mul_vec, mul_vec_transposed, quat_to_mat};
+use crate::dynamics::{Scalar, Workspace, point_motion};
 use crate::error::Error;
 use crate::geometry_export::quaternion;
 use crate::morphology::{BatchSlots, Morphologies};
@@ -15,6 +21,8 @@ use crate::options::Autoreset;
 use crate::robot::Pose;
 use crate::simulation::LinkPoses;
 use crate::systems::{StateField, gather_state};
+use crate::workers::{MatrixRows, Workers};
+use crate::world::Ground;
 
 impl Sim {
     /// Writes one quantity of all robots, row-major `[num_envs, width]` with
@@ -92,17 +100,28 @@ impl Sim {
     /// # Errors
     /// The wrong number of numbers, or a non-finite one.
     pub fn set_commands(&mut self, commands: Option<&[f32]>) -> Result<(), Error> {
+        let envs: Vec<usize> = (0..self.num_envs()).collect();
+        self.set_commands_of(&envs, commands)
+    }
+
+    /// Pins the commands of some envs to these, row-major `[envs, 3]`, or releases them; those of
+    /// other envs stay as they are.
+    ///
+    /// # Errors
+    /// As [`set_commands`](Self::set_commands); an env that does not exist or is there twice.
+    pub fn set_commands_of(&mut self, envs: &[usize], commands: Option<&[f32]>) -> Result<(), Error> {
+        let places = self.places("set_command: env_ids", envs)?;
         if let Some(c) = commands
-            && (c.len() != 3 * self.num_envs() || c.iter().any(|x| !x.is_finite()))
+            && (c.len() != 3 * envs.len() || c.iter().any(|x| !x.is_finite()))
         {
-            let problem = format!("not {} finite rows of vx, vy, yaw rate", self.num_envs());
+            let problem = format!("not {} finite rows of vx, vy, yaw rate", envs.len());
             return Err(Error::argument("command", problem, "pass one row per env"));
         }
         let beyond = |x: &f32| f64::from(x.abs()) > MAX_COMMAND;
         if let Some(c) = commands
             && let Some(at) = c.iter().position(beyond)
         {
-            let problem = format!("{} of env {} is {}", ["vx", "vy", "the yaw rate"][at % 3], at / 3, c[at]);
+            let problem = format!("{} of env {} is {}", ["vx", "vy", "the yaw rate"][at % 3], envs[at / 3], c[at]);
             return Err(Error::argument(
                 "command",
                 problem,
@@ -111,16 +130,35 @@ impl Sim {
         }
         let world = self.world_mut();
         for (env, mut command) in world.query::<(&EnvId, &mut Command)>().iter_mut(world) {
+            let Some(row) = places[env.0 as usize] else {
+                continue;
+            };
             command.pinned = commands.is_some();
             if let Some(c) = commands {
-                let at = 3 * env.0 as usize;
-                command.velocity = [c[at], c[at + 1], c[at + 2]];
+                command.velocity = [c[3 * row], c[3 * row + 1], c[3 * row + 2]];
                 command.standing = command.velocity == [0.0; 3];
                 command.holds_heading = false;
             }
         }
         Ok(())
     }
+}
+
+/// Where the links of a robot are and how they move, a row per env.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinkRows {
+    /// Origins of the URDF frames relative to the env's origin on the ground, m, `[envs, links,
+    /// 3]`.
+    pub position: Vec<f32>,
+    /// Orientations of the URDF frames, w, x, y, z with `w >= 0`, `[envs, links, 4]`.
+    pub quaternion: Vec<f32>,
+    /// Velocities of the origins, world axes, m/s, `[envs, links, 3]`.
+    pub linear_velocity: Vec<f32>,
+    /// Angular velocities, world axes, rad/s, `[envs, links, 3]`.
+    pub angular_velocity: Vec<f32>,
+    /// Net contact forces of the last physics step on the bodies of each link, world axes, N,
+    /// `[envs, links, 3]`.
+    pub contact_force: Vec<f32>,
 }
 
 /// State of the robots of one kind, row-major, a row per env; see [`simulation`](crate::simulation)
@@ -173,6 +211,85 @@ impl Sim {
             }
         }
         poses
+    }
+
+    /// All links of the robot at place `index`, of its bodies as they were randomised. A broken state
+    /// gives zeros.
+    pub fn links(&mut self, index: usize) -> LinkRows {
+        type Columns = (
+            &'static EnvId,
+            &'static BasePose,
+            &'static BaseVelocity,
+            &'static JointState,
+            &'static Body,
+            &'static ContactForces,
+        );
+        /// Numbers of a link: position, quaternion, velocities, force.
+        const WIDTH: usize = 16;
+        let envs = self.env_ids(index);
+        let world = self.world_mut();
+        let mut origins = vec![(EnvOrigin::default(), false); envs.len()];
+        for (env, origin, episode) in world.query::<(&EnvId, &EnvOrigin, &Episode)>().iter(world) {
+            if envs.contains(&(env.0 as usize)) {
+                origins[env.0 as usize - envs.start] = (*origin, episode.invalid);
+            }
+        }
+        let mut query = world.query_filtered::<Columns, With<Robot>>();
+        let mut robots: Vec<_> = query.iter(world).filter(|(env, ..)| envs.contains(&(env.0 as usize))).collect();
+        robots.sort_unstable_by_key(|(env, ..)| **env);
+        let (ground, workers) = (world.resource::<Ground>(), world.resource::<Workers>());
+        let Some(model) = world.resource::<Morphologies>().0.get(index) else {
+            return LinkRows::default();
+        };
+        let (topology, links) = (&model.topology, model.topology.num_links());
+        let align: Vec<Mat3<f32>> = model
+            .align
+            .iter()
+            .map(|align| align.transpose().to_cols_array_2d().map(|row| row.map(|x| x as f32)))
+            .collect();
+        let mut rows = vec![0.0_f32; envs.len() * links * WIDTH];
+        let out = MatrixRows { data: &mut rows, width: links * WIDTH };
+        workers.for_each_chunk(out, envs.len(), |first, count, mut out| {
+            let mut work = Workspace::new(topology);
+            for i in 0..count {
+                let (_, pose, velocity, joints, body, forces) = &robots[first + i];
+                let rotation = quat_to_mat(&pose.rotation);
+                let base = Spatial { ang: velocity.angular, lin: mul_vec_transposed(&rotation, &velocity.linear) };
+                let (q, qd) = (&joints.position, &joints.velocity);
+                f32::forward_kinematics(topology, &body.0, q, qd, &base, &mut work);
+                let (origin, is_broken) = &origins[first + i];
+                if *is_broken {
+                    continue;
+                }
+                let height = ground.height_at(origin, [0.0; 2]);
+                let net = forces.net(topology.num_bodies, &model.feet);
+                for (l, (link, out)) in work.links.iter().zip(out.row(i).chunks_exact_mut(WIDTH)).enumerate() {
+                    let position = add(&pose.position, &mul_vec(&rotation, &link.position));
+                    let turned = mul_mat(&rotation, &mul_mat(&link.rotation, &align[l]));
+                    let (_, linear) = point_motion(link, &[0.0; 3]);
+                    out[..3].copy_from_slice(&position);
+                    out[2] -= height;
+                    let columns = DMat3::from_cols_array_2d(&turned.map(|row| row.map(f64::from))).transpose();
+                    let quaternion = quaternion(&columns).map(|x| x as f32);
+                    out[3..7].copy_from_slice(&quaternion);
+                    out[7..10].copy_from_slice(&mul_vec(&rotation, &linear));
+                    out[10..13].copy_from_slice(&mul_vec(&rotation, &link.velocity.ang));
+                    for (_, force) in model.model.bodies.iter().zip(&net).filter(|(body, _)| body.link == l) {
+                        out[13..16].iter_mut().zip(force).for_each(|(sum, x)| *sum += x);
+                    }
+                }
+            }
+        });
+        let part = |columns: Range<usize>| -> Vec<f32> {
+            rows.chunks_exact(WIDTH).flat_map(|link| link[columns.clone()].to_vec()).collect()
+        };
+        LinkRows {
+            position: part(0..3),
+            quaternion: part(3..7),
+            linear_velocity: part(7..10),
+            angular_velocity: part(10..13),
+            contact_force: part(13..16),
+        }
     }
 
     /// Net force on each contact body of the robot at place `index` in the last physics step, world

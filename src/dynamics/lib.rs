@@ -54,6 +54,6 @@ pub use networks::{
 pub use parameters::Parameters;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
-pub use state::{Drive, LinkState, Report, State, Workspace};
+pub use state::{Drive, LinkForce, LinkState, Report, State, Workspace};
 pub use step::ControlStep;
 pub use terrain::{HeightGrid, LARGE_GROUP, Terrain};

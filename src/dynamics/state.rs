@@ -47,6 +47,50 @@ pub struct Drive<S> {
     pub base_force: Vec3<S>,
     /// Torque on the base, base axes, N m.
     pub base_torque: Vec3<S>,
+    /// Forces on links from outside, in rising order of [`LinkForce::key`]; usually empty.
+    pub link_forces: Vec<LinkForce<S>>,
+}
+
+/// A force and a torque on a link from outside, held for the control step.
+#[derive(Clone, Debug)]
+pub struct LinkForce<S> {
+    /// Number of the link.
+    pub link: usize,
+    /// Whether force and torque keep their directions in the world; else they turn with the link.
+    pub in_world: bool,
+    /// One where it acts, zero in the other lanes.
+    pub acts: S,
+    /// Point of the link at which the force acts, link axes, m.
+    pub point: Vec3<S>,
+    /// Force, N.
+    pub force: Vec3<S>,
+    /// Torque, N m.
+    pub torque: Vec3<S>,
+}
+
+impl<S: Real> LinkForce<S> {
+    /// No force in any lane.
+    pub fn zero((link, in_world): (usize, bool)) -> Self {
+        let z = S::zero();
+        Self { link, in_world, acts: z, point: [z; 3], force: [z; 3], torque: [z; 3] }
+    }
+
+    /// What the lanes of a pack share: link and frame. Forces are added in the order of their keys,
+    /// so that no lane's sum depends on its neighbours.
+    pub fn key(&self) -> (usize, bool) {
+        (self.link, self.in_world)
+    }
+}
+
+impl<S: Real> Drive<S> {
+    /// The force with a [`key`](LinkForce::key), which is made if no lane has one yet.
+    pub fn link_force_mut(&mut self, key: (usize, bool)) -> &mut LinkForce<S> {
+        let place = self.link_forces.partition_point(|force| force.key() < key);
+        if self.link_forces.get(place).is_none_or(|force| force.key() != key) {
+            self.link_forces.insert(place, LinkForce::zero(key));
+        }
+        &mut self.link_forces[place]
+    }
 }
 
 /// Report of one control step.
@@ -110,6 +154,7 @@ impl<S: Real> Drive<S> {
             feedforward: zeros,
             base_force: [S::zero(); 3],
             base_torque: [S::zero(); 3],
+            link_forces: Vec::new(),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! One control step of a pack: physics steps, each a sequence of seven calls.
+//! One control step of a pack: physics steps, each a sequence of eight calls.
 
 use std::ops::Range;
 
@@ -118,6 +118,7 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     work: &mut Workspace<S>,
 ) {
     update_kinematics(topology, settings, parameters, state, work);
+    add_link_forces(topology, drive, work);
     actuate(topology, parameters, settings, drive, state, work);
     factorise(topology, settings, parameters, work);
     let free_base = find_free_velocity(topology, settings, parameters, drive, state, work);
@@ -139,6 +140,31 @@ fn update_kinematics<S: Real, B: BodyNumbers<S>>(
     let gravity = mul_vec_transposed(&work.base_rotation, &splat(&settings.gravity));
     let (position, velocity) = (&state.joint_position, &state.joint_velocity);
     kinematics::equations_of_motion(topology, parameters, position, velocity, &state.angular_velocity, &gravity, work);
+}
+
+/// Takes the forces on links from outside off the bias forces: each acts on the base and on the
+/// joints that carry the link.
+#[inline(always)]
+fn add_link_forces<S: Real>(topology: &Topology, drive: &Drive<S>, work: &mut Workspace<S>) {
+    let Workspace { links, base_rotation, bias_base, bias_joint, .. } = work;
+    for force in &drive.link_forces {
+        let link = &links[force.link];
+        let (lin, torque) = if force.in_world {
+            (mul_vec_transposed(base_rotation, &force.force), mul_vec_transposed(base_rotation, &force.torque))
+        } else {
+            (mul_vec(&link.rotation, &force.force), mul_vec(&link.rotation, &force.torque))
+        };
+        let at = add(&link.position, &mul_vec(&link.rotation, &force.point));
+        let wrench = Spatial { ang: add(&torque, &cross(&at, &lin)), lin };
+        // a lane without the force keeps its bits
+        let acts = S::zero().lt(force.acts);
+        for (bias, own) in bias_base.iter_mut().zip(wrench.to_array()) {
+            *bias = S::select(acts, *bias - own, *bias);
+        }
+        for j in topology.chain(force.link) {
+            bias_joint[j] = S::select(acts, bias_joint[j] - links[j + 1].axis.dot(&wrench), bias_joint[j]);
+        }
+    }
 }
 
 /// Factorises the mass matrix, with the damping of joints and the implicit shares of springs and

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::limits::{StateLimits, Violation};
 use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ExternalWrench, JointEffort, JointState,
-    JointTargets,
+    JointTargets, LinkForces,
 };
 
 /// Motion of one robot: the numbers that physics integrates.
@@ -55,6 +55,8 @@ pub struct DivergenceRecord {
     pub memory: ActuatorMemory,
     /// Force and torque from outside.
     pub wrench: ExternalWrench,
+    /// Forces on links from outside.
+    pub link_forces: LinkForces,
     /// The robot after the step, with its broken state.
     pub after: Motion,
 }

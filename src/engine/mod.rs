@@ -47,6 +47,10 @@ pub trait Engine: Send + Sync {
     /// returns no records are not dumped.
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord>;
 
+    /// Forgets what it keeps of an env beyond its components, such as the contacts of the last
+    /// step: a caller has set the env's state. Default: nothing is kept.
+    fn restart(&mut self, _env: usize) {}
+
     /// Bytes of each env that decide how it goes on, beyond its components. Default: empty.
     ///
     /// # Errors
@@ -83,6 +87,10 @@ impl Engine for TaskEngine {
 
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord> {
         self.0.step(workers, robots, run)
+    }
+
+    fn restart(&mut self, env: usize) {
+        self.0.forget(env);
     }
 
     fn save(&self) -> Result<Vec<Vec<u8>>, String> {
@@ -123,6 +131,8 @@ pub(crate) trait RowEngine<F: RowFamily>: Send + Sync {
     fn fetch(&self, env: usize, rows: F::Rows<'_>);
     /// Sets state and report of a resident robot to those of the first row.
     fn restart(&mut self, env: usize, rows: F::Rows<'_>);
+    /// Forgets what it keeps of a robot that lives in rows beyond its row.
+    fn forget(&mut self, _env: usize) {}
     /// Makes `run.steps` physics steps of all robots, one block for each morphology. For each
     /// morphology that `run` watches, returns the record of the first env whose new state is
     /// broken.

@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 use super::{DivergenceRecord, Motion};
 use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse,
-    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets,
+    EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, LinkForces,
 };
 use crate::dynamics::lanes::{Real, prefetch};
 use crate::dynamics::{Drive, Report, State};
@@ -153,6 +153,8 @@ robot_slices! {
     memories: ActuatorMemory,
     /// Force and torque on the base from outside.
     wrenches: ExternalWrench,
+    /// Forces on links from outside.
+    link_forces: LinkForces,
     /// Efforts and accelerations of the joints in the last physics step: written.
     efforts: JointEffort,
     /// Impulses from which the solver of the next step may start: read, then written.
@@ -214,6 +216,13 @@ impl RobotRows for RobotSlices<'_> {
         }
         put(&mut drive.base_force, &self.wrenches[row].force, lane);
         put(&mut drive.base_torque, &self.wrenches[row].torque, lane);
+        for from in &self.link_forces[row].0 {
+            let force = drive.link_force_mut((from.link as usize, from.in_world));
+            force.acts.set_lane(lane, 1.0);
+            put(&mut force.point, &from.point, lane);
+            put(&mut force.force, &from.force, lane);
+            put(&mut force.torque, &from.torque, lane);
+        }
     }
 
     #[inline]
@@ -281,17 +290,19 @@ impl RobotRows for RobotSlices<'_> {
             delay: self.delays[row].clone(),
             memory,
             wrench: self.wrenches[row],
+            link_forces: self.link_forces[row].clone(),
             after: self.motion(row),
         })
     }
 }
 
-/// Leaves targets, feed-forward efforts and the wrench zero.
+/// Leaves targets, feed-forward efforts and forces from outside zero.
 pub(crate) fn clear_drive<L: Real>(drive: &mut Drive<L>) {
     drive.targets.iter_mut().for_each(|targets| targets.fill(L::zero()));
     drive.feedforward.fill(L::zero());
     drive.base_force = [L::zero(); 3];
     drive.base_torque = [L::zero(); 3];
+    drive.link_forces.clear();
 }
 
 /// Writes numbers into a lane.

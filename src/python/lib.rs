@@ -10,6 +10,7 @@ macro_rules! docstring {
 
 mod exceptions;
 mod learner;
+mod rows;
 mod simulation;
 mod terrain;
 mod vec_sim;

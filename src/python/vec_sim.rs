@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
+    Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
     PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
@@ -15,6 +15,7 @@ use serde::Serialize;
 use super::exceptions::{
     Guarded, fault_exception, optional_pair, optional_whole, to_python, type_error, unsigned, value_error, whole,
 };
+use super::rows::{StateArguments, env_ids, numbers};
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
 use polypod::config::{POLICY_GROUP, VelocityCommandConfig};
@@ -22,7 +23,7 @@ use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
 use polypod::world::Ground;
-use polypod::{Autoreset, Sim, SimOptions};
+use polypod::{Autoreset, ForceRows, Sim, SimOptions};
 
 /// The arrays that Python sees, allocated once.
 struct Arrays {
@@ -100,9 +101,20 @@ fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
 }
 
 /// Numbers as `count` rows of the same length.
-fn rows(py: Python<'_>, numbers: Vec<f64>, count: usize) -> PyResult<Bound<'_, PyArray2<f64>>> {
+fn rows(py: Python<'_>, numbers: Vec<f64>, count: usize) -> PyResult<Bound<'_, PyAny>> {
     let width = numbers.len() / count.max(1);
-    PyArray1::from_vec(py, numbers).reshape([count, width])
+    read_only(PyArray1::from_vec(py, numbers).reshape([count, width])?.into_any())
+}
+
+/// An array that is handed out, guarded against writing: what is written would change nothing.
+fn read_only(array: Bound<'_, PyAny>) -> PyResult<Bound<'_, PyAny>> {
+    array.getattr("flags")?.setattr("writeable", false)?;
+    Ok(array)
+}
+
+/// A view of an array of the simulator, guarded against writing.
+fn view<'py>(array: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    read_only(array.call_method0("view")?)
 }
 
 impl VecSim {
@@ -116,6 +128,14 @@ impl VecSim {
         let result = self.sim.run(py, f)?;
         self.publish(py)?;
         Ok(result)
+    }
+
+    /// Copies observations that were measured between steps.
+    fn publish_observations(&mut self, py: Python<'_>) -> PyResult<()> {
+        let arrays = &mut self.arrays;
+        arrays.current = 1 - arrays.current;
+        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
+        fill(py, workers, &arrays.observations[arrays.current], &batch.observations)
     }
 
     fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
@@ -157,8 +177,7 @@ impl VecSim {
         written(py, json)
     }
 
-    /// The columns of an observation group: a view, or the array itself where there is no other
-    /// group.
+    /// The columns of an observation group: a view that is guarded against writing.
     fn columns<'py>(
         &self,
         py: Python<'py>,
@@ -168,10 +187,10 @@ impl VecSim {
         let task = self.sim.task();
         let columns = &task.group(group).map_err(|error| to_python(py, error.into()))?.columns;
         if task.groups.len() == 1 {
-            return Ok(rows.clone().into_any());
+            return view(rows.as_any());
         }
         let columns = PySlice::new(py, columns.start as isize, columns.end as isize, 1);
-        rows.get_item((PySlice::full(py), columns))
+        read_only(rows.get_item((PySlice::full(py), columns))?)
     }
 
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
@@ -485,31 +504,27 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.qpos")]
-    fn qpos<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn qpos<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyAny>> {
         let index = self.robot_index(py, robot)?;
         let states = self.sim.run(py, |sim| sim.robot_states(index))?;
         rows(py, states.qpos, self.sim.env_ids(index).len())
     }
 
     #[doc = docstring!("VecSim.qvel")]
-    fn qvel<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn qvel<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyAny>> {
         let index = self.robot_index(py, robot)?;
         let states = self.sim.run(py, |sim| sim.robot_states(index))?;
         rows(py, states.qvel, self.sim.env_ids(index).len())
     }
 
     #[doc = docstring!("VecSim.link_pose")]
-    fn link_pose<'py>(
-        &mut self,
-        py: Python<'py>,
-        robot: &str,
-    ) -> PyResult<(Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>)> {
+    fn link_pose<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>)> {
         let index = self.robot_index(py, robot)?;
         let poses = self.sim.run(py, |sim| sim.link_pose(index))?;
         let (envs, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
         Ok((
-            PyArray1::from_vec(py, poses.position).reshape([envs, links, 3])?,
-            PyArray1::from_vec(py, poses.quaternion).reshape([envs, links, 4])?,
+            read_only(PyArray1::from_vec(py, poses.position).reshape([envs, links, 3])?.into_any())?,
+            read_only(PyArray1::from_vec(py, poses.quaternion).reshape([envs, links, 4])?.into_any())?,
         ))
     }
 
@@ -526,11 +541,11 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.contact_forces")]
-    fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray3<f64>>> {
+    fn contact_forces<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyAny>> {
         let index = self.robot_index(py, robot)?;
         let (envs, bodies) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].topology.num_bodies);
         let forces = self.sim.run(py, |sim| sim.contact_forces(index))?;
-        PyArray1::from_vec(py, forces).reshape([envs, bodies, 3])
+        read_only(PyArray1::from_vec(py, forces).reshape([envs, bodies, 3])?.into_any())
     }
 
     #[doc = docstring!("VecSim.resolved_config")]
@@ -544,19 +559,182 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.reset")]
-    #[pyo3(signature = (seed=None, mask=None))]
+    #[pyo3(signature = (seed=None, mask=None, state=None))]
     fn reset(
         &mut self,
         py: Python<'_>,
         #[pyo3(from_py_with = optional_whole)] seed: Option<i128>,
         mask: Option<&Bound<'_, PyAny>>,
+        state: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<()> {
         let seed = seed.map(|seed| unsigned(py, "seed", seed)).transpose()?;
         let n = self.sim.num_envs();
         let mask = mask.map(|mask| array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])).transpose()?;
         let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
-        self.sim.run(py, |sim| sim.reset(seed, mask))?.map_err(|error| to_python(py, error))?;
+        let envs: Vec<usize> = (0..n).filter(|&env| mask.is_none_or(|mask| mask[env])).collect();
+        let slots = self.sim.batch().num_actions;
+        let state = state.map(|state| StateArguments::of_dict(state, envs.len(), slots)).transpose()?;
+        let reset = self.sim.run(py, |sim| match &state {
+            None => sim.reset(seed, mask),
+            Some(state) => sim.reset_to(seed, mask, &state.rows()),
+        })?;
+        reset.map_err(|error| to_python(py, error))?;
         self.publish(py)
+    }
+
+    #[doc = docstring!("VecSim.set_state")]
+    #[pyo3(signature = (env_ids=None, *, base_pos=None, base_quat=None, base_lin_vel=None, base_ang_vel=None, joint_pos=None, joint_vel=None))]
+    fn set_state(
+        &mut self,
+        py: Python<'_>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+        base_pos: Option<&Bound<'_, PyAny>>,
+        base_quat: Option<&Bound<'_, PyAny>>,
+        base_lin_vel: Option<&Bound<'_, PyAny>>,
+        base_ang_vel: Option<&Bound<'_, PyAny>>,
+        joint_pos: Option<&Bound<'_, PyAny>>,
+        joint_vel: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("set_state", env_ids, self.sim.num_envs())?;
+        let values = [base_pos, base_quat, base_lin_vel, base_ang_vel, joint_pos, joint_vel];
+        let state = StateArguments::new(values, envs.len(), self.sim.batch().num_actions)?;
+        self.sim.run(py, |sim| sim.set_states(&envs, &state.rows()))?.map_err(|error| to_python(py, error))?;
+        self.publish_observations(py)
+    }
+
+    #[doc = docstring!("VecSim.set_friction")]
+    #[pyo3(signature = (static_friction, dynamic_friction=None, env_ids=None))]
+    fn set_friction(
+        &mut self,
+        py: Python<'_>,
+        static_friction: &Bound<'_, PyAny>,
+        dynamic_friction: Option<&Bound<'_, PyAny>>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("set_friction", env_ids, self.sim.num_envs())?;
+        let rows = (envs.len(), 1);
+        let sticking = numbers("set_friction: static_friction", static_friction, rows, false)?;
+        let sliding =
+            dynamic_friction.map(|x| numbers("set_friction: dynamic_friction", x, rows, false)).transpose()?;
+        let set = self.sim.run(py, |sim| sim.set_friction(&envs, &sticking, sliding.as_deref()))?;
+        set.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.set_mass")]
+    #[pyo3(signature = (mass, link=None, env_ids=None))]
+    fn set_mass(
+        &mut self,
+        py: Python<'_>,
+        mass: &Bound<'_, PyAny>,
+        link: Option<&str>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("set_mass", env_ids, self.sim.num_envs())?;
+        let mass = numbers("set_mass: mass", mass, (envs.len(), 1), false)?;
+        self.sim.run(py, |sim| sim.set_mass(&envs, link, &mass))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.set_gains")]
+    #[pyo3(signature = (stiffness=None, damping=None, env_ids=None))]
+    fn set_gains(
+        &mut self,
+        py: Python<'_>,
+        stiffness: Option<&Bound<'_, PyAny>>,
+        damping: Option<&Bound<'_, PyAny>>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("set_gains", env_ids, self.sim.num_envs())?;
+        let rows = (envs.len(), self.sim.batch().num_actions);
+        let gains = |element, value: Option<&Bound<'_, PyAny>>| {
+            value.map(|value| numbers(element, value, rows, true)).transpose()
+        };
+        let (stiffness, damping) = (gains("set_gains: stiffness", stiffness)?, gains("set_gains: damping", damping)?);
+        let set = self.sim.run(py, |sim| sim.set_gains(&envs, stiffness.as_deref(), damping.as_deref()))?;
+        set.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.parameters")]
+    fn parameters<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyDict>> {
+        let index = self.robot_index(py, robot)?;
+        let (n, slots) = (self.sim.env_ids(index).len(), self.sim.batch().num_actions);
+        let links = self.sim.morphologies()[index].model.links.len();
+        let all = self.sim.run(py, |sim| sim.parameters(index))?;
+        let entries = PyDict::new(py);
+        entries.set_item("static_friction", read_only(PyArray1::from_vec(py, all.static_friction).into_any())?)?;
+        entries.set_item("dynamic_friction", read_only(PyArray1::from_vec(py, all.dynamic_friction).into_any())?)?;
+        for (name, numbers, width) in
+            [("mass", all.mass, links), ("stiffness", all.stiffness, slots), ("damping", all.damping, slots)]
+        {
+            let array = PyArray1::from_vec(py, numbers).reshape([n, width])?;
+            entries.set_item(name, read_only(array.into_any())?)?;
+        }
+        Ok(entries)
+    }
+
+    #[doc = docstring!("VecSim.apply_force")]
+    #[pyo3(signature = (force, torque=None, *, link=None, env_ids=None, frame="world", point=None, steps=None, duration_s=None))]
+    fn apply_force(
+        &mut self,
+        py: Python<'_>,
+        force: &Bound<'_, PyAny>,
+        torque: Option<&Bound<'_, PyAny>>,
+        link: Option<&str>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+        frame: &str,
+        point: Option<&Bound<'_, PyAny>>,
+        #[pyo3(from_py_with = optional_whole)] steps: Option<i128>,
+        duration_s: Option<f64>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("apply_force", env_ids, self.sim.num_envs())?;
+        let in_world = match frame {
+            "world" => true,
+            "link" => false,
+            _ => {
+                return Err(value_error(format!(
+                    "apply_force: frame: there is no `{frame}`; use \"world\" or \"link\""
+                )));
+            }
+        };
+        let steps: u32 = match (steps, duration_s) {
+            (Some(_), Some(_)) => {
+                return Err(value_error("apply_force: duration_s: given together with steps; pass one of them".into()));
+            }
+            (Some(steps), None) => unsigned(py, "apply_force: steps", steps)?,
+            (None, None) => 1,
+            (None, Some(seconds)) => {
+                let steps = (seconds / self.step_dt() - 1e-6).ceil();
+                if !(1.0..=f64::from(u32::MAX)).contains(&steps) {
+                    let problem = format!("apply_force: duration_s: {seconds} s; pass a positive time");
+                    return Err(value_error(problem));
+                }
+                steps as u32
+            }
+        };
+        let vectors = |element, value| numbers(element, value, (envs.len(), 3), false);
+        let force = vectors("apply_force: force", force)?;
+        let torque = torque.map(|torque| vectors("apply_force: torque", torque)).transpose()?;
+        let point = point.map(|point| vectors("apply_force: point", point)).transpose()?;
+        let rows = ForceRows { force: &force, torque: torque.as_deref(), in_world, point: point.as_deref(), steps };
+        self.sim.run(py, |sim| sim.apply_force(&envs, link, &rows))?.map_err(|error| to_python(py, error))
+    }
+
+    #[doc = docstring!("VecSim.links")]
+    fn links<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyDict>> {
+        let index = self.robot_index(py, robot)?;
+        let (n, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
+        let rows = self.sim.run(py, |sim| sim.links(index))?;
+        let entries = PyDict::new(py);
+        for (name, numbers, width) in [
+            ("pos", rows.position, 3),
+            ("quat", rows.quaternion, 4),
+            ("lin_vel", rows.linear_velocity, 3),
+            ("ang_vel", rows.angular_velocity, 3),
+            ("contact_force", rows.contact_force, 3),
+        ] {
+            let array = PyArray1::from_vec(py, numbers).reshape([n, links, width])?;
+            entries.set_item(name, read_only(array.into_any())?)?;
+        }
+        Ok(entries)
     }
 
     #[doc = docstring!("VecSim.step")]
@@ -579,18 +757,18 @@ impl VecSim {
     }
     #[doc = docstring!("VecSim.reward")]
     #[getter]
-    fn reward<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        self.arrays.reward.bind(py).clone()
+    fn reward<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(self.arrays.reward.bind(py).as_any())
     }
     #[doc = docstring!("VecSim.terminated")]
     #[getter]
-    fn terminated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        self.arrays.terminated.bind(py).clone()
+    fn terminated<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(self.arrays.terminated.bind(py).as_any())
     }
     #[doc = docstring!("VecSim.truncated")]
     #[getter]
-    fn truncated<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        self.arrays.truncated.bind(py).clone()
+    fn truncated<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(self.arrays.truncated.bind(py).as_any())
     }
     #[doc = docstring!("VecSim.final_obs")]
     #[getter]
@@ -603,26 +781,28 @@ impl VecSim {
     }
     #[doc = docstring!("VecSim.final_mask")]
     #[getter]
-    fn final_mask<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<bool>> {
-        self.arrays.final_mask.bind(py).clone()
+    fn final_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(self.arrays.final_mask.bind(py).as_any())
     }
     #[doc = docstring!("VecSim.command")]
     #[getter]
-    fn command<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f32>> {
-        self.arrays.command.bind(py).clone()
+    fn command<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        view(self.arrays.command.bind(py).as_any())
     }
 
     #[doc = docstring!("VecSim.state")]
-    fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    fn state<'py>(&mut self, py: Python<'py>, field: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(known) = StateField::ALL.into_iter().find(|known| known.name() == field) else {
             let names: Vec<&str> = StateField::ALL.iter().map(|known| known.name()).collect();
             return Err(value_error(format!("field: there is no `{field}`; use one of {}", names.join(", "))));
         };
         let rows = PyArray2::<f32>::zeros(py, [self.sim.num_envs(), self.sim.state_width(known)], false);
-        let mut out = rows.try_readwrite()?;
-        let out = out.as_slice_mut()?;
-        self.sim.run(py, |sim| sim.state(known, out))?.map_err(|error| to_python(py, error))?;
-        Ok(rows)
+        {
+            let mut out = rows.try_readwrite()?;
+            let out = out.as_slice_mut()?;
+            self.sim.run(py, |sim| sim.state(known, out))?.map_err(|error| to_python(py, error))?;
+        }
+        read_only(rows.into_any())
     }
 
     #[doc = docstring!("VecSim.terminate")]
@@ -637,7 +817,7 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.env_origins")]
-    fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let rows = self.sim.run(py, |sim| {
             let ground = sim.world().resource::<Ground>().clone();
             let mut rows = vec![0.0; 3 * sim.num_envs()];
@@ -651,7 +831,7 @@ impl VecSim {
             }
             rows
         })?;
-        PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])
+        read_only(PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])?.into_any())
     }
 
     #[doc = docstring!("VecSim.terrain")]
@@ -681,7 +861,7 @@ impl VecSim {
 
     #[doc = docstring!("VecSim.episode_length")]
     #[getter]
-    fn episode_length<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i64>>> {
+    fn episode_length<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let lengths = self.sim.run(py, |sim| {
             let mut lengths = vec![0; sim.num_envs()];
             let world = sim.world_mut();
@@ -690,7 +870,7 @@ impl VecSim {
             }
             lengths
         })?;
-        Ok(PyArray1::from_vec(py, lengths))
+        read_only(PyArray1::from_vec(py, lengths).into_any())
     }
 
     #[doc = docstring!("VecSim.set_episode_length")]
@@ -702,11 +882,18 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.set_command")]
-    fn set_command(&mut self, py: Python<'_>, command: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let n = self.sim.num_envs();
-        let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &[n, 3])).transpose()?;
+    #[pyo3(signature = (command, env_ids=None))]
+    fn set_command(
+        &mut self,
+        py: Python<'_>,
+        command: Option<&Bound<'_, PyAny>>,
+        env_ids: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let envs = self::env_ids("set_command", env_ids, self.sim.num_envs())?;
+        let shape = [envs.len(), 3];
+        let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &shape)).transpose()?;
         let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
-        self.sim.run(py, |sim| sim.set_commands(command))?.map_err(|error| to_python(py, error))?;
+        self.sim.run(py, |sim| sim.set_commands_of(&envs, command))?.map_err(|error| to_python(py, error))?;
         self.publish_commands(py)
     }
 
@@ -782,18 +969,18 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.reward_sums")]
-    fn reward_sums<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    fn reward_sums<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyAny>> {
         let index = self.robot_index(py, robot)?;
         let (envs, terms) = (self.sim.env_ids(index).len(), self.sim.reward_terms(index).len());
         let sums = self.sim.run(py, |sim| sim.reward_sums(index))?;
-        PyArray1::from_vec(py, sums).reshape([envs, terms])
+        read_only(PyArray1::from_vec(py, sums).reshape([envs, terms])?.into_any())
     }
 
     #[doc = docstring!("VecSim.height_scan")]
-    fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f32>>> {
+    fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let points = self.sim.run(py, Sim::height_scan)?;
         let (envs, rays) = (self.sim.num_envs(), points.len() / (3 * self.sim.num_envs()).max(1));
-        PyArray1::from_vec(py, points).reshape([envs, rays, 3])
+        read_only(PyArray1::from_vec(py, points).reshape([envs, rays, 3])?.into_any())
     }
 
     #[doc = docstring!("VecSim.log")]
@@ -854,14 +1041,26 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.snapshot")]
-    fn snapshot<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = self.sim.run(py, Sim::snapshot)?.map_err(|error| to_python(py, error))?;
+    #[pyo3(signature = (env_ids=None))]
+    fn snapshot<'py>(&mut self, py: Python<'py>, env_ids: Option<&Bound<'py, PyAny>>) -> PyResult<Bound<'py, PyBytes>> {
+        let envs = env_ids.map(|ids| self::env_ids("snapshot", Some(ids), self.sim.num_envs())).transpose()?;
+        let bytes = self.sim.run(py, |sim| match &envs {
+            None => sim.snapshot(),
+            Some(envs) => sim.snapshot_of(envs),
+        })?;
+        let bytes = bytes.map_err(|error| to_python(py, error))?;
         Ok(PyBytes::new(py, &bytes))
     }
 
     #[doc = docstring!("VecSim.restore")]
-    fn restore(&mut self, py: Python<'_>, data: &[u8]) -> PyResult<()> {
-        self.sim.run(py, |sim| sim.restore(data))?.map_err(|error| to_python(py, error))?;
+    #[pyo3(signature = (data, env_ids=None))]
+    fn restore(&mut self, py: Python<'_>, data: &[u8], env_ids: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        let envs = env_ids.map(|ids| self::env_ids("restore", Some(ids), self.sim.num_envs())).transpose()?;
+        let restored = self.sim.run(py, |sim| match &envs {
+            None => sim.restore(data),
+            Some(envs) => sim.restore_some(data, envs),
+        })?;
+        restored.map_err(|error| to_python(py, error))?;
         self.publish(py)
     }
 }

@@ -26,6 +26,7 @@ mod snapshot;
 
 pub use options::{Precision, SimulationOptions};
 pub use parameters::LinkId;
+pub(crate) use parameters::named_link;
 pub use queries::{LinkPoses, LinkVelocities};
 
 use crate::blocks::BlockList;

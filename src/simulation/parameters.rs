@@ -9,7 +9,7 @@ use crate::bounds::LARGEST;
 use crate::config::{ConfigError, ConfigErrorKind, did_you_mean};
 use crate::dynamics::{Parameters, SharedArray};
 use crate::error::Error;
-use crate::robot::symmetric;
+use crate::robot::{Model, symmetric};
 
 /// A link, by name or index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +32,26 @@ impl From<usize> for LinkId<'_> {
     }
 }
 
+/// Index of the link called `name`; `element` is the argument that names it.
+///
+/// # Errors
+/// A link that does not exist, or is fixed to another.
+pub(crate) fn named_link(model: &Model, name: &str, element: &'static str) -> Result<usize, Error> {
+    let links = &model.links;
+    if let Some(index) = links.iter().position(|link| link.name == name) {
+        return Ok(index);
+    }
+    let file = model.source.display().to_string();
+    let (problem, remedy) = match links.iter().find(|link| link.merged.iter().any(|merged| merged == name)) {
+        Some(carrier) => (format!("`{name}` is fixed to `{0}`", carrier.name), format!("name `{}`", carrier.name)),
+        None => {
+            let known = links.iter().map(|link| link.name.as_str());
+            (format!("there is no link `{name}`"), did_you_mean(name, known, "links"))
+        }
+    };
+    Err(ConfigError::invalid(file, element, problem, remedy).of_kind(ConfigErrorKind::UnknownName).into())
+}
+
 /// A list of numbers of joints.
 type JointList = fn(&mut Parameters<f64>) -> &mut SharedArray<f64>;
 
@@ -50,18 +70,7 @@ impl Simulation {
             }
             LinkId::Name(name) => name,
         };
-        if let Some(index) = links.iter().position(|link| link.name == name) {
-            return Ok(index);
-        }
-        let file = self.robot.model.source.display().to_string();
-        let (problem, remedy) = match links.iter().find(|link| link.merged.iter().any(|merged| merged == name)) {
-            Some(carrier) => (format!("`{name}` is fixed to `{0}`", carrier.name), format!("name `{}`", carrier.name)),
-            None => {
-                let known = links.iter().map(|link| link.name.as_str());
-                (format!("there is no link `{name}`"), did_you_mean(name, known, "links"))
-            }
-        };
-        Err(ConfigError::invalid(file, "link", problem, remedy).of_kind(ConfigErrorKind::UnknownName).into())
+        named_link(&self.robot.model, name, "link")
     }
 
     /// `change(row, numbers)` of the robots in some envs. It rounds what it sets.

@@ -12,6 +12,7 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.networks import build_actor
 from polypod.networks.onnx_network import OnnxNetwork
+from polypod.tensors import tensor_over
 
 Policy = Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]
 """Observations [num_envs, num_obs] to actions [num_envs, num_actions], as
@@ -62,7 +63,7 @@ class NetworkPolicy:
                 f"{observations.shape[1]}; use the task that it was trained on"
             )
         with torch.inference_mode():
-            batch = TensorDict({"policy": torch.from_numpy(observations)}, batch_size=[len(observations)])
+            batch = TensorDict({"policy": tensor_over(observations)}, batch_size=[len(observations)])
             actions: npt.NDArray[np.float32] = self.network(batch).numpy()
             return actions
 

@@ -18,6 +18,7 @@ from polypod.networks.masked import ACTION_MASK
 from polypod.networks.urma import JointCounts, UrmaModel, counted
 from polypod.rsl_rl import VecEnv
 from polypod.runs.schema import TrainConfig
+from polypod.tensors import tensor_over
 from polypod.training import deviations
 from polypod.training.advantages import EPSILON, normalize_per_robot
 from polypod.training.gpu_update import Samples, ask_policy
@@ -89,7 +90,7 @@ class Rollout(Samples):
             self._synchronize()
             figures = self._env.step_on_host(self._actions)
             for told, figure in zip(self._told.values(), figures, strict=True):
-                told[step].copy_(torch.from_numpy(np.asarray(figure)))
+                told[step].copy_(tensor_over(np.asarray(figure)))
         self._env.observe_into(self._inputs)
         for name, received in self._received.items():
             received.copy_(self._told[name], non_blocking=True)

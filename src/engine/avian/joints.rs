@@ -209,6 +209,18 @@ pub(super) struct Wrench {
     pub(super) torque: Vec3,
 }
 
+/// A force and a torque on a link from outside.
+#[derive(Clone, Copy)]
+pub(super) struct Pull {
+    /// Number of the link among those of all robots.
+    pub(super) body: usize,
+    /// Whether the wrench is in world axes; else it turns with the link.
+    pub(super) in_world: bool,
+    /// From the link's centre of mass to where the force acts, link axes, m.
+    pub(super) arm: Vec3,
+    pub(super) wrench: Wrench,
+}
+
 /// The joints of all robots of a world.
 #[derive(Resource, Default)]
 pub(super) struct Joints {
@@ -230,6 +242,10 @@ pub(super) struct Joints {
     /// `[robots]`, and the rotations of the bases at the beginning of the physics step.
     pub(super) wrenches: Vec<Wrench>,
     pub(super) rotations: Vec<Quat>,
+    /// Forces on links, in the order of the links, and the rotations of these at the beginning of
+    /// the physics step.
+    pub(super) pulls: Vec<Pull>,
+    pub(super) pulled: Vec<Quat>,
     /// `[robots * links]`.
     pub(super) masses: Vec<LinkMass>,
     /// Inverse articulated inertia of each base, `[robots]`.
@@ -296,6 +312,8 @@ impl Joints {
         let (joints, links) = (self.num_joints(), self.num_joints() + 1);
         self.rotations.clear();
         self.rotations.extend(poses.iter().step_by(links).map(|pose| pose.rotation));
+        self.pulled.clear();
+        self.pulled.extend(self.pulls.iter().map(|pull| poses[pull.body].rotation));
         self.bases.resize(poses.len() / links, Inertia::default());
         self.inertias.resize(links, Inertia::default());
         self.twists.resize(links, Twist::default());
@@ -313,7 +331,7 @@ impl Joints {
         }
     }
 
-    /// One substep of what acts on the bases from outside; the joints hand it on to the other
+    /// One substep of what acts on bases and links from outside; the joints hand it on to the other
     /// links.
     pub(super) fn push(&self, bodies: &mut [SolverBody]) {
         let links = self.num_joints() + 1;
@@ -323,6 +341,18 @@ impl Joints {
             let (own, turn) = (&self.masses[robot * links], base.delta_rotation * self.rotations[robot]);
             base.linear_velocity += turn * wrench.force * (self.h / own.mass);
             base.angular_velocity += own.inertia.inverse() * (turn * wrench.torque) * self.h;
+        }
+        for (pull, rotation) in self.pulls.iter().zip(&self.pulled) {
+            let (body, own) = (&mut bodies[pull.body], &self.masses[pull.body]);
+            // a base that cannot move
+            if !self.floating && pull.body % links == 0 {
+                continue;
+            }
+            let turn = body.delta_rotation * *rotation;
+            let Wrench { force, torque } = pull.wrench;
+            let (force, torque) = if pull.in_world { (force, torque) } else { (turn * force, turn * torque) };
+            body.linear_velocity += force * (self.h / own.mass);
+            body.angular_velocity += own.inertia.inverse() * (torque + (turn * pull.arm).cross(force)) * self.h;
         }
     }
 

@@ -25,10 +25,10 @@ use glam::{DMat3, DQuat, DVec3};
 
 use super::Kind;
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
-use crate::dynamics::{JointMotion, Parameters, Plane, Scalar, State, Topology, Workspace};
+use crate::dynamics::{JointMotion, LinkForce, Parameters, Plane, Scalar, State, Topology, Workspace};
 use crate::obstacles::Part;
 use crate::workers::Workers;
-use joints::{Joint, JointNumbers, Joints, Wrench};
+use joints::{Joint, JointNumbers, Joints, Pull, Wrench};
 pub(crate) use robots::AvianRobots;
 use shapes::LinkCollider;
 pub(crate) use shapes::link_colliders;
@@ -193,6 +193,23 @@ impl Worlds {
     pub(crate) fn set_wrench(&mut self, env: usize, force: [f32; 3], torque: [f32; 3]) {
         let (chunk, i) = self.at_mut(env);
         chunk.joints.wrenches[i] = Wrench { force: Vec3::from_array(force), torque: Vec3::from_array(torque) };
+    }
+
+    /// Sets the forces on the links of a robot.
+    pub(crate) fn set_link_forces(&mut self, env: usize, forces: &[LinkForce<f64>]) {
+        let links = self.topology.num_links();
+        let (chunk, i) = self.at_mut(env);
+        let com = &chunk.envs[i].parameters.com;
+        let pulls = &mut chunk.joints.pulls;
+        pulls.retain(|pull| pull.body / links != i);
+        pulls.extend(forces.iter().map(|force| Pull {
+            body: i * links + force.link,
+            in_world: force.in_world,
+            arm: vector(std::array::from_fn(|k| force.point[k] - com[force.link][k])),
+            wrench: Wrench { force: vector(force.force), torque: vector(force.torque) },
+        }));
+        // each robot's forces in one order, whatever its neighbours have
+        pulls.sort_by_key(|pull| pull.body);
     }
 
     /// How far the links' origins are from where forward kinematics of the state has them, at most,

@@ -141,6 +141,13 @@ impl<F: RowFamily> RowEngine<F> for AvianRobots {
         env.force.copy_from_slice(&block.report.body_force);
     }
 
+    fn forget(&mut self, env: usize) {
+        let (block, row) = self.at(env);
+        let block = &mut self.blocks[block];
+        block.state.clone_from(&block.worlds.env(row).state);
+        block.worlds.set_state(row, &block.state);
+    }
+
     fn step(&mut self, workers: &Workers, blocks: BlockList<F::Rows<'_>>, run: Run) -> Vec<DivergenceRecord> {
         let mut found = Vec::new();
         for of_morphology in blocks {
@@ -230,6 +237,7 @@ impl Block {
             rows.read_drive(row, drive, 0);
             let [force, torque] = [drive.base_force, drive.base_torque].map(|v| v.map(|x| x as f32));
             self.worlds.set_wrench(row, force, torque);
+            self.worlds.set_link_forces(row, &drive.link_forces);
         }
     }
 
