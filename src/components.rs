@@ -171,6 +171,39 @@ pub struct Command {
     pub pinned: bool,
 }
 
+/// The commands of the task other than the velocity.
+#[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct CommandNumbers {
+    /// Numbers of each command, one command after the other.
+    pub numbers: SmallVec<[f32; 8]>,
+    /// Seconds until each command is drawn again; the time since the draw, negative, where a reset
+    /// alone draws it.
+    pub time_left: SmallVec<[f32; 2]>,
+    /// Commands that the caller has set, as bits: they are not drawn again.
+    pub pinned: u32,
+}
+
+impl CommandNumbers {
+    /// Sets all numbers to zero, and releases the commands.
+    pub fn clear(&mut self) {
+        self.numbers.fill(0.0);
+        self.time_left.fill(0.0);
+        self.pinned = 0;
+    }
+}
+
+/// Progress of an env through the task's curriculum.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CurriculumProgress {
+    /// Control steps since the simulation began.
+    pub steps: u64,
+    /// Amount by which the ranges of the velocity command are widened at each end, m/s or rad/s.
+    pub widening: f32,
+    /// Running mean over the env's last episodes of the tracking reward, as a share of the most that
+    /// an episode can give.
+    pub tracking: f32,
+}
+
 /// Place of an env on the ground.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct EnvOrigin {

@@ -10,7 +10,7 @@ use super::terms::CompiledTask;
 use super::view::RobotView;
 use super::{ResetSet, Setup, SetupSet, for_both};
 use crate::blocks::{Block, Blocks};
-use crate::components::{Env, EnvOrigin, Episode, EpisodeSums};
+use crate::components::{CurriculumProgress, Env, EnvOrigin, Episode, EpisodeSums};
 use crate::morphology::Morphologies;
 use crate::world::Ground;
 
@@ -103,6 +103,10 @@ pub struct RobotLog {
     command_xy: ExactSum,
     command_yaw: ExactSum,
     speed_xy: ExactSum,
+    /// Control steps of the simulation at the last episode's end.
+    age: u64,
+    /// Sum of the widening of the commands' ranges.
+    widening: ExactSum,
     /// Sum of the terrain levels, of those episodes that had one.
     levels: Option<f64>,
     /// Episode sums of each reward term.
@@ -116,8 +120,10 @@ impl RobotLog {
         Self { terms: vec![ExactSum::default(); terms], causes: vec![0; causes], ..Self::default() }
     }
 
-    fn add(&mut self, episode: &Episode, sums: &EpisodeSums, level: Option<u32>) {
+    fn add(&mut self, episode: &Episode, sums: &EpisodeSums, progress: &CurriculumProgress, level: Option<u32>) {
         self.episodes += 1;
+        self.age = self.age.max(progress.steps);
+        self.widening.add(progress.widening);
         self.falls += u64::from(episode.terminated);
         self.steps += u64::from(sums.steps);
         self.reward.add(sums.reward);
@@ -148,6 +154,8 @@ impl RobotLog {
         self.command_xy.append(other.command_xy);
         self.command_yaw.append(other.command_yaw);
         self.speed_xy.append(other.speed_xy);
+        self.age = self.age.max(other.age);
+        self.widening.append(other.widening);
         if let Some(levels) = other.levels {
             self.levels = Some(self.levels.unwrap_or_default() + levels);
         }
@@ -157,7 +165,7 @@ impl RobotLog {
 
     /// Whether the log may replace `present`.
     fn fits(&self, present: &Self) -> bool {
-        let counts = [self.episodes, self.falls, self.steps].into_iter().chain(self.causes.iter().copied());
+        let counts = [self.episodes, self.falls, self.steps, self.age].into_iter().chain(self.causes.iter().copied());
         self.terms.len() == present.terms.len()
             && self.causes.len() == present.causes.len()
             && counts.max() <= Some(MAX_LOGGED)
@@ -224,7 +232,7 @@ impl Logs {
         let step_dt = f64::from(task.step_dt);
         let full = f64::from(task.max_episode_length) * step_dt;
         let mut out = BTreeMap::new();
-        for ((log, terms), morphology) in logs.iter().zip(&task.rewards).zip(&morphologies.0) {
+        for (index, ((log, terms), morphology)) in logs.iter().zip(&task.rewards).zip(&morphologies.0).enumerate() {
             if log.episodes == 0 {
                 continue;
             }
@@ -243,6 +251,20 @@ impl Logs {
             out.insert(format!("Metrics/{robot}/episode_length_s"), stats.episode_length_s);
             out.insert(format!("Metrics/{robot}/reward_per_s"), stats.reward_per_s);
             out.insert(format!("Metrics/{robot}/distance"), stats.distance);
+            for (key, entry) in task.schedules.entries() {
+                if let Some(term) = terms.iter().find(|term| term.name == entry) {
+                    out.insert(format!("Curriculum/{robot}/{key}"), f64::from(term.weight_at(log.age)));
+                }
+            }
+            let ranges = &task.velocity_ranges[index];
+            if ranges.are_scheduled() {
+                let widening = (log.widening.value() / episodes) as f32;
+                let mean = ranges.at(&CurriculumProgress { steps: log.age, widening, tracking: 0.0 });
+                for (key, [low, high]) in ["lin_vel_x", "lin_vel_y", "ang_vel_z"].iter().zip(mean) {
+                    out.insert(format!("Curriculum/{robot}/{key}_min"), f64::from(low));
+                    out.insert(format!("Curriculum/{robot}/{key}_max"), f64::from(high));
+                }
+            }
             if let Some(level) = stats.terrain_level {
                 out.insert(format!("Curriculum/{robot}/terrain_levels"), level);
             }
@@ -268,20 +290,23 @@ impl Logs {
 
 /// Counts the episodes that have just ended.
 pub(super) fn collect_episodes(
-    mut envs: Blocks<(&'static mut Episode, &'static EpisodeSums, &'static EnvOrigin), Env>,
+    mut envs: Blocks<
+        (&'static mut Episode, &'static EpisodeSums, &'static CurriculumProgress, &'static EnvOrigin),
+        Env,
+    >,
     ground: Res<Ground>,
     mut logs: ResMut<Logs>,
 ) -> Result {
     let Logs { recent, all } = &mut *logs;
-    for Block { morphology, rows: (episodes, sums, origins), .. } in envs.write()? {
+    for Block { morphology, rows: (episodes, sums, progress, origins), .. } in envs.write()? {
         let morphology = usize::from(morphology.0);
         let (recent, all) = (&mut recent[morphology], &mut all[morphology]);
         for (i, episode) in episodes.iter_mut().enumerate() {
             if episode.done() && !episode.logged {
                 episode.logged = true;
                 let level = ground.layout.as_ref().map(|_| origins[i].terrain_level);
-                recent.add(episode, &sums[i], level);
-                all.add(episode, &sums[i], level);
+                recent.add(episode, &sums[i], &progress[i], level);
+                all.add(episode, &sums[i], &progress[i], level);
             }
         }
     }

@@ -49,6 +49,7 @@ mod reward;
 mod sampling;
 mod saved;
 mod scene;
+mod schedules;
 mod sense;
 mod spawn;
 mod startup;
@@ -68,7 +69,7 @@ use crate::options::Autoreset;
 
 pub use act::ActPlugin;
 pub use broken::{BrokenState, BrokenStates};
-pub use command::CommandPlugin;
+pub use command::{CommandKind, CommandPlugin, CommandSpec, CommandTerm, CommandView, CommandedRobot};
 pub use curriculum::place_envs;
 pub use disturb::DisturbPlugin;
 pub(crate) use faults::{outcome, run};
@@ -135,7 +136,7 @@ pub enum SetupSet {
 pub enum PipelineSet {
     /// Actions become joint targets.
     Act,
-    /// Velocity commands are sampled and follow the heading.
+    /// Commands are sampled; a velocity follows its heading, a gait its clock.
     Command,
     /// Interval events, such as pushes.
     Disturb,
@@ -199,7 +200,7 @@ plugin_group! {
     /// | [`WorldPlugin`] | Avian with ground, terrain and obstacles |
     /// | [`SpawnPlugin`] | spawns envs and robots |
     /// | [`ActPlugin`] | actions become joint targets |
-    /// | [`CommandPlugin`] | velocity commands |
+    /// | [`CommandPlugin`] | commands |
     /// | [`DisturbPlugin`] | interval events, such as pushes |
     /// | [`PhysicsPlugin`] | the engine and its steps; dumps of broken states |
     /// | [`MirrorPlugin`] | robots in Avian's world, with `physics.mirror_links` |

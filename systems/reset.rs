@@ -5,7 +5,7 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::ResetRequest;
-use super::command::{draw_command, heading, steer};
+use super::command::{CommandedRobot, draw_command, heading, steer};
 use super::disturb::{EXTERNAL_WRENCH, WrenchRanges};
 use super::place::place_robots;
 use super::startup::is_due;
@@ -14,11 +14,11 @@ use super::view::{EpisodeEnd, NewState};
 use super::{ResetSet, for_both, startup};
 use crate::blocks::{Block, Blocks};
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
-    Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, JointEffort, JointState, JointTargets,
-    LinkForces, Robot, Stance,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, CommandNumbers, ConstraintImpulses,
+    ContactForces, CurriculumProgress, Env, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench,
+    JointEffort, JointState, JointTargets, LinkForces, Robot, Stance,
 };
-use crate::config::quantities::{Angle, Coordinate};
+use crate::config::quantities::{Angle, Coordinate, Turns};
 use crate::config::{JointPositionMode, values};
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
@@ -65,6 +65,8 @@ type EnvColumns = (
     &'static mut Episode,
     &'static mut EnvRng,
     &'static mut Command,
+    &'static mut CommandNumbers,
+    &'static mut CurriculumProgress,
     &'static mut EventTimers,
     &'static mut EpisodeSums,
     &'static mut EnvOrigin,
@@ -87,7 +89,7 @@ pub(super) fn reset_envs(
     mut envs: Blocks<EnvColumns, Env>,
 ) -> Result {
     robots.write()?.zip(envs.write()?).for_each_chunk(&workers, |Block { morphology, envs, rows }| {
-        let (robots, (episodes, rngs, commands, timers, sums, origins)) = rows;
+        let (robots, (episodes, rngs, commands, other_commands, progress, timers, sums, origins)) = rows;
         let (
             bodies,
             stances,
@@ -104,7 +106,8 @@ pub(super) fn reset_envs(
             wrenches,
             link_forces,
         ) = robots;
-        let command_config = &task.commands[usize::from(morphology.0)];
+        let robot = usize::from(morphology.0);
+        let (command_config, command_ranges) = (&task.commands[robot], &task.velocity_ranges[robot]);
         let morphology = morphologies.get(morphology);
         for i in 0..envs.len() {
             if !is_due(&episodes[i], *autoreset, *request) {
@@ -126,6 +129,10 @@ pub(super) fn reset_envs(
                     episode,
                     pose,
                     command: &commands[i],
+                    sums: &sums[i],
+                    robot,
+                    task: &task,
+                    progress: &mut progress[i],
                     episode_length_s: seconds(task.max_episode_length),
                     lived_s: seconds(episode.lived),
                     given_s: seconds(episode.lived + left),
@@ -168,10 +175,12 @@ pub(super) fn reset_envs(
             for (event, left) in task.interval_events.iter().zip(timers[i].0.iter_mut()) {
                 *left = rng.uniform(event.range_s);
             }
-            if !commands[i].pinned {
-                draw_command(command_config, &mut commands[i], rng);
-                steer(command_config, &mut commands[i], heading(&pose.rotation));
+            if !commands[i].pinned && task.has_velocity_command() {
+                let ranges = command_ranges.at(&progress[i]);
+                draw_command(command_config, ranges, &mut commands[i], rng);
+                steer(command_config, ranges[2], &mut commands[i], heading(&pose.rotation));
             }
+            task.draw_commands(robot, &CommandedRobot { morphology, pose }, &mut other_commands[i], rng);
             sums[i].clear();
             episodes[i] = Episode { fresh: true, ..Episode::default() };
         }
@@ -199,12 +208,19 @@ struct BaseRange {
     /// Range of its heading, rad.
     #[serde(deserialize_with = "values::range_of::<Angle, _, _>")]
     yaw: [f32; 2],
+    /// Range of its roll, rad; -pi to pi with the same pitch reaches all directions. Default: 0.
+    #[serde(default, deserialize_with = "values::optional_range_of::<Angle, _, _>")]
+    roll: Option<[f32; 2]>,
+    /// Range of its pitch, rad. Default: 0.
+    #[serde(default, deserialize_with = "values::optional_range_of::<Angle, _, _>")]
+    pitch: Option<[f32; 2]>,
 }
 
 /// All built-in reset events.
 pub(super) fn register(registry: &mut Registry) {
     registry.reset_event("reset_base", reset_base);
     registry.reset_event("reset_joints", reset_joints);
+    registry.reset_event("reset_joints_within_limits_range", reset_joints_within_limits);
     registry.reset_event(EXTERNAL_WRENCH, |p: &WrenchRanges, state, rng| {
         *state.wrench = p.draw(state.morphology, rng);
     });
@@ -214,12 +230,25 @@ pub(super) fn register(registry: &mut Registry) {
     });
 }
 
-/// Position and heading from the task's ranges, velocity from the robot's.
+/// Position, heading, roll and pitch from the task's ranges, velocity from the robot's.
 fn reset_base(p: &BaseRange, state: &mut NewState, rng: &mut EnvRng) {
     state.pose.position[0] += rng.uniform(p.x);
     state.pose.position[1] += rng.uniform(p.y);
     let (sin, cos) = crate::dynamics::lanes::Real::sin_cos(0.5 * rng.uniform(p.yaw));
     state.pose.rotation = [cos, 0.0, 0.0, sin];
+    if p.roll.is_some() || p.pitch.is_some() {
+        // roll about the base's x axis, after pitch about its y axis, after yaw
+        let mut half = |range: Option<[f32; 2]>| {
+            crate::dynamics::lanes::Real::sin_cos(0.5 * rng.uniform(range.unwrap_or_default()))
+        };
+        let ((sr, cr), (sp, cp)) = (half(p.roll), half(p.pitch));
+        state.pose.rotation = [
+            cos * cp * cr + sin * sp * sr,
+            cos * cp * sr - sin * sp * cr,
+            cos * sp * cr + sin * cp * sr,
+            sin * cp * cr - cos * sp * sr,
+        ];
+    }
     let range = state.morphology.config.reset.base_velocity.range.map(|x| x as f32);
     state.velocity.linear = std::array::from_fn(|_| rng.uniform(range));
     let world: [f32; 3] = std::array::from_fn(|_| rng.uniform(range));
@@ -245,4 +274,31 @@ fn reset_joints(_: &NoParams, state: &mut NewState, rng: &mut EnvRng) {
     for v in &mut state.joints.velocity {
         *v = rng.uniform(velocity);
     }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WithinLimits {
+    /// Share of the way from the lower to the upper soft limit, drawn for each joint. Default: all
+    /// of it.
+    #[serde(default = "all", deserialize_with = "values::range_of::<Turns, _, _>")]
+    position_range: [f32; 2],
+}
+
+fn all() -> [f32; 2] {
+    [0.0, 1.0]
+}
+
+/// Joints anywhere between their soft limits, at rest. A joint without two limits keeps its
+/// position.
+fn reset_joints_within_limits(p: &WithinLimits, state: &mut NewState, rng: &mut EnvRng) {
+    let share = state.morphology.config.reset.soft_limit_factor as f32;
+    for (j, q) in state.joints.position.iter_mut().enumerate() {
+        let drawn = rng.uniform(p.position_range);
+        let [lower, upper] = soft_limits([state.body.lower[j], state.body.upper[j]], share);
+        if (upper - lower).is_finite() {
+            *q = (upper - lower).mul_add(drawn, lower);
+        }
+    }
+    state.joints.velocity.fill(0.0);
 }

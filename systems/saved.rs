@@ -9,9 +9,10 @@ use serde::de::DeserializeOwned;
 use super::terms::CompiledTask;
 use crate::blocks::RowKind;
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
-    ContactSensor, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, HeightScan,
-    Imu, JointDescriptors, JointEffort, JointState, JointTargets, LinkForces, Morphology, Stance, StartupBody,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, CommandNumbers, ConstraintImpulses,
+    ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers,
+    ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, JointTargets, LinkForces,
+    Morphology, Stance, StartupBody,
 };
 use crate::config::TaskConfig;
 use crate::error::Error;
@@ -192,6 +193,21 @@ const MAX_COUNT: u32 = u32::MAX / 2;
 impl Saved for Episode {
     fn fits(&self, _: &Self, _: &Place) -> bool {
         self.length.max(self.lived) <= MAX_COUNT
+    }
+}
+
+impl Saved for CommandNumbers {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        (self.numbers.len(), self.time_left.len()) == (present.numbers.len(), present.time_left.len())
+    }
+}
+
+/// Largest count of control steps in a snapshot: later counts do not overflow.
+const MAX_STEPS: u64 = u64::MAX / 2;
+
+impl Saved for CurriculumProgress {
+    fn fits(&self, _: &Self, _: &Place) -> bool {
+        self.steps <= MAX_STEPS && self.widening.is_finite() && self.tracking.is_finite()
     }
 }
 

@@ -9,9 +9,10 @@ use super::terms::CompiledTask;
 use super::{Setup, SetupSet, keep_blocks};
 use crate::blocks::BlockSizes;
 use crate::components::{
-    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, ConstraintImpulses, ContactForces,
-    Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers, ExternalWrench, Feet, JointEffort, JointState,
-    JointTargets, LinkForces, Morphology, PerJoint, Robot, Stance, StartupBody,
+    Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, CommandNumbers, ConstraintImpulses,
+    ContactForces, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers,
+    ExternalWrench, Feet, JointEffort, JointState, JointTargets, LinkForces, Morphology, PerJoint, Robot, Stance,
+    StartupBody,
 };
 use crate::engine::history_length;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -28,6 +29,8 @@ impl Plugin for SpawnPlugin {
         save_component::<EnvRng>(app);
         save_component::<Episode>(app);
         save_component::<Command>(app);
+        save_component::<CommandNumbers>(app);
+        save_component::<CurriculumProgress>(app);
         save_component::<EventTimers>(app);
         save_component::<EpisodeSums>(app);
         save_component::<EnvOrigin>(app);
@@ -62,6 +65,7 @@ fn spawn_envs(mut commands: Commands, blocks: Res<BlockSizes>, task: Res<Compile
         let terms = smallvec![0.0; task.rewards[usize::from(tag.0)].len()];
         commands.spawn((
             (id, tag, Env, rng, Episode::default(), Command::default(), EnvOrigin::default()),
+            (task.new_command_numbers(), CurriculumProgress::default()),
             EventTimers(smallvec![0.0; task.num_interval_events()]),
             EpisodeSums { terms, ..EpisodeSums::default() },
         ));

@@ -3,10 +3,13 @@
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::SystemParam;
 
+use super::command::{CommandTerm, CommandView};
+use super::terms::CompiledTask;
 use crate::blocks::{Block, BlockIter, Blocks};
 use crate::components::{
-    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, ContactSensor, Env, EnvOrigin, Episode,
-    ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, Robot, Stance,
+    Action, ActuatorDelay, BasePose, BaseVelocity, Body, Command, CommandNumbers, ContactSensor, CurriculumProgress,
+    Env, EnvOrigin, Episode, EpisodeSums, ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort,
+    JointState, Robot, Stance,
 };
 use crate::dynamics::Parameters;
 use crate::error::Error;
@@ -22,6 +25,8 @@ pub struct RobotView<'a> {
     pub morphology: &'a MorphologyModel,
     /// Forward and left velocity (m/s) and yaw rate (rad/s) that it is to follow, base frame.
     pub command: &'a [f32; 3],
+    /// Its other commands.
+    pub commands: CommandView<'a>,
     /// Pose of the base; see [`base_height`](Self::base_height) for its height above the ground.
     pub pose: &'a BasePose,
     /// Velocity of the base.
@@ -79,7 +84,8 @@ pub(super) struct ViewParam<'w, 's> {
     morphologies: Res<'w, Morphologies>,
     ground: Res<'w, Ground>,
     robots: Blocks<'w, 's, RobotColumns, Robot>,
-    envs: Blocks<'w, 's, (&'static Command, &'static EnvOrigin), Env>,
+    task: Res<'w, CompiledTask>,
+    envs: Blocks<'w, 's, (&'static Command, &'static CommandNumbers, &'static EnvOrigin), Env>,
     imus: Blocks<'w, 's, &'static Imu, Imu>,
     contacts: Blocks<'w, 's, &'static ContactSensor, ContactSensor>,
     scans: Blocks<'w, 's, &'static HeightScan, HeightScan>,
@@ -104,12 +110,14 @@ impl ViewParam<'_, '_> {
         let blocks = of_all.zip_some(self.scans.read_some()?).zip_some(self.descriptors.read_some()?);
         Ok(blocks.map(move |morphology, (((((robots, envs), imus), contacts), scans), descriptors)| {
             let (poses, velocities, joints, efforts, actions, feet, bodies, stances) = robots;
-            let (commands, origins) = envs;
+            let (commands, numbers, origins) = envs;
             Views {
                 morphology: self.morphologies.get(morphology),
                 ground: &self.ground,
                 first: 0,
                 commands,
+                terms: &self.task.command_terms,
+                numbers,
                 origins,
                 poses,
                 velocities,
@@ -137,6 +145,8 @@ pub(super) struct Views<'a> {
     /// Row of the first robot in the slices.
     first: usize,
     commands: &'a [Command],
+    terms: &'a [CommandTerm],
+    numbers: &'a [CommandNumbers],
     origins: &'a [EnvOrigin],
     poses: &'a [BasePose],
     velocities: &'a [BaseVelocity],
@@ -167,6 +177,7 @@ impl<'a> Views<'a> {
         RobotView {
             morphology: self.morphology,
             command: &self.commands[row].velocity,
+            commands: CommandView { terms: self.terms, numbers: &self.numbers[row].numbers },
             pose: &self.poses[row],
             velocity: &self.velocities[row],
             imu: &self.imus[row],
@@ -252,6 +263,14 @@ pub struct EpisodeEnd<'a> {
     pub pose: &'a BasePose,
     /// Command at the end.
     pub command: &'a Command,
+    /// Sums of its rewards and errors.
+    pub sums: &'a EpisodeSums,
+    /// Morphology of the robot, as its place among those of the task.
+    pub(super) robot: usize,
+    /// The task.
+    pub(super) task: &'a CompiledTask,
+    /// Progress of the env through the curriculum.
+    pub progress: &'a mut CurriculumProgress,
     /// Length of a full episode, s.
     pub episode_length_s: f32,
     /// Time since the episode's reset, s.

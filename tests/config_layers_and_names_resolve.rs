@@ -47,7 +47,7 @@ fn every_robot_and_task_of_the_repository_loads() {
             let loaded = library.task(name, &[]).unwrap_or_else(|error| panic!("{error}"));
             assert_eq!(loaded.config.name, entry.name);
             for robot in &loaded.config.robots {
-                let robot = library.robot(robot).unwrap_or_else(|error| panic!("{error}")).config;
+                let robot = library.robot_in(robot, &loaded.config).unwrap_or_else(|error| panic!("{error}")).config;
                 loaded.config.reward_set(&robot.name, &robot.reward_set).unwrap();
             }
         }

@@ -6,7 +6,7 @@ use polypod::components::{
 };
 use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
-use polypod::systems::RobotView;
+use polypod::systems::{CommandView, RobotView};
 use polypod::world::Ground;
 use polypod::{Sim, SimOptions};
 use smallvec::smallvec;
@@ -184,6 +184,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
             let view = RobotView {
                 morphology: model,
                 command: &h.command,
+                commands: CommandView::default(),
                 pose: &h.pose,
                 velocity: &h.velocity,
                 imu: &h.imu,

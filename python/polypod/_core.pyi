@@ -460,7 +460,7 @@ class VecSim:
         - `term`, `size`: name and number of numbers, those that the term remembers included.
         - `history_length`: control steps that it remembers, the present one included; the oldest
           numbers come first.
-        - `kind`: scalar, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body:
+        - `kind`: scalar, odd, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body:
           how the numbers are mirrored.
         - `units`, `description`: what they say.
         - `source`: what the term is computed from on a robot: measured (given as it is),

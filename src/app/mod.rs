@@ -17,7 +17,7 @@ use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 use crate::batch::Batch;
 use crate::blocks::BlockSizes;
 use crate::bounds::MAX_ACTION;
-use crate::components::{Body, Command, EnvId, EnvRng, Episode, Morphology};
+use crate::components::{Body, Command, CommandNumbers, CurriculumProgress, EnvId, EnvRng, Episode, Morphology};
 use crate::config::{LoadedRobot, LoadedTask, VelocityCommandConfig};
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
@@ -195,6 +195,11 @@ impl Sim {
         }
         for mut command in self.world.query::<&mut Command>().iter_mut(&mut self.world) {
             *command = Command::default();
+        }
+        let mut of_envs = self.world.query::<(&mut CommandNumbers, &mut CurriculumProgress)>();
+        for (mut commands, mut progress) in of_envs.iter_mut(&mut self.world) {
+            commands.clear();
+            *progress = CurriculumProgress::default();
         }
         for mut episode in self.world.query::<&mut Episode>().iter_mut(&mut self.world) {
             *episode = Episode::default();

@@ -10,8 +10,9 @@ use super::Sim;
 use crate::batch::Batch;
 use crate::bounds::MAX_COMMAND;
 use crate::components::{
-    BasePose, BaseVelocity, Body, Command, ContactForces, EnvId, EnvOrigin, Episode, JointState, Robot,
+    BasePose, BaseVelocity, Body, Command, CommandNumbers, ContactForces, EnvId, EnvOrigin, Episode, JointState, Robot,
 };
+use crate::config::did_you_mean;
 use crate::dynamics::math::{Mat3, Spatial, add, mul_mat, mul_vec, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{Scalar, Workspace, point_motion};
 use crate::error::Error;
@@ -98,7 +99,7 @@ impl Sim {
     /// Pins the commands to these, row-major `[num_envs, 3]`, or releases them.
     ///
     /// # Errors
-    /// The wrong number of numbers, or a non-finite one.
+    /// The wrong number of numbers, or a non-finite one; a task without a velocity command.
     pub fn set_commands(&mut self, commands: Option<&[f32]>) -> Result<(), Error> {
         let envs: Vec<usize> = (0..self.num_envs()).collect();
         self.set_commands_of(&envs, commands)
@@ -128,6 +129,13 @@ impl Sim {
                 format!("pass numbers within {MAX_COMMAND}, m/s or rad/s"),
             ));
         }
+        if commands.is_some() && !self.task().has_velocity_command() {
+            let task = &self.task().config;
+            let given: Vec<&str> = task.commands.names().collect();
+            let given = if given.is_empty() { "no command".to_owned() } else { given.join(", ") };
+            let problem = format!("{} gives {given}, and no velocity command (`base_velocity`)", task.name);
+            return Err(Error::argument("command", problem, "use a task with [commands.base_velocity]"));
+        }
         let world = self.world_mut();
         for (env, mut command) in world.query::<(&EnvId, &mut Command)>().iter_mut(world) {
             let Some(row) = places[env.0 as usize] else {
@@ -138,6 +146,43 @@ impl Sim {
                 command.velocity = [c[3 * row], c[3 * row + 1], c[3 * row + 2]];
                 command.standing = command.velocity == [0.0; 3];
                 command.holds_heading = false;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Sim {
+    /// Pins a command other than the velocity to these numbers, row-major `[num_envs, columns]`, or
+    /// releases it: the next draw follows its time.
+    ///
+    /// # Errors
+    /// A command that the task does not give; the wrong number of numbers, or one that is not finite
+    /// or beyond 1000.
+    pub fn pin_command(&mut self, name: &str, numbers: Option<&[f32]>) -> Result<(), Error> {
+        let terms = &self.task().command_terms;
+        let Some(bit) = terms.iter().position(|term| term.name == name) else {
+            let problem = format!("{} gives no command `{name}`", self.task().config.name);
+            let known = did_you_mean(name, terms.iter().map(|term| term.name.as_str()), "commands");
+            return Err(Error::argument("command", problem, known));
+        };
+        let (range, columns) = (terms[bit].range.clone(), terms[bit].columns);
+        let is_allowed = |x: &f32| f64::from(x.abs()) <= MAX_COMMAND;
+        if let Some(numbers) = numbers
+            && (numbers.len() != columns.len() * self.num_envs() || !numbers.iter().all(is_allowed))
+        {
+            let problem = format!("not {} rows of {} within {MAX_COMMAND}", self.num_envs(), columns.join(", "));
+            return Err(Error::argument("command", problem, "pass one row per env"));
+        }
+        let world = self.world_mut();
+        for (env, mut command) in world.query::<(&EnvId, &mut CommandNumbers)>().iter_mut(world) {
+            match numbers {
+                Some(numbers) => {
+                    let at = columns.len() * env.0 as usize;
+                    command.numbers[range.clone()].copy_from_slice(&numbers[at..at + columns.len()]);
+                    command.pinned |= 1 << bit;
+                }
+                None => command.pinned &= !(1 << bit),
             }
         }
         Ok(())

@@ -34,9 +34,10 @@ pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneC
 pub(crate) use suggest::did_you_mean;
 pub use surfaces::SurfaceConfig;
 pub use task::{
-    AVIAN_SUBSTEPS, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode, ExternalConfig,
-    ExternalKind, HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig, POLICY_GROUP,
-    PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VelocityCommandConfig,
+    AVIAN_SUBSTEPS, CommandConfig, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode,
+    ExternalConfig, ExternalKind, HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig,
+    POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VELOCITY_COMMAND,
+    VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

@@ -13,7 +13,7 @@ use super::task::TaskConfig;
 
 /// Events that say how an episode begins and which bodies the envs have. All others disturb or
 /// randomise.
-const BEGINNINGS: [&str; 3] = ["reset_base", "reset_joints", "body_variation"];
+const BEGINNINGS: [&str; 4] = ["reset_base", "reset_joints", "reset_joints_within_limits_range", "body_variation"];
 /// Most levels and columns of a made variant's terrain, and its highest level at the beginning:
 /// those of the built-in files.
 const ROWS: i64 = 5;

@@ -53,6 +53,12 @@ quantities! {
     Difficulty: -10.0 => 10.0, "";
     /// A proportion among others.
     Proportion: 1e-6 => 1e6, "";
+    /// A number of cycles per second.
+    Frequency: 0.0 => 100.0, " Hz";
+    /// A part of a cycle.
+    Turns: 0.0 => 1.0, "";
+    /// A count of control steps.
+    Steps: 0.0 => 1e15, " control steps";
     /// A time that may be zero.
     Time: 0.0 => 1e6, " s";
     /// A time within which something happens.

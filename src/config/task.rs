@@ -51,6 +51,7 @@ pub struct TaskConfig {
     /// Surface of the robots where no event randomises it.
     pub robot_material: MaterialConfig,
     /// Commands of the policy.
+    #[serde(default)]
     pub commands: CommandsConfig,
     /// Sensors beyond those that every robot has.
     #[serde(default)]
@@ -190,11 +191,80 @@ pub struct MaterialConfig {
 }
 
 /// Commands, by name.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct CommandsConfig {
-    /// A velocity of the base.
-    pub base_velocity: VelocityCommandConfig,
+    /// A velocity of the base; absent in tasks that ask for no velocity.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub base_velocity: Option<VelocityCommandConfig>,
+    /// Commands of other kinds, by the kind's name.
+    #[serde(flatten)]
+    pub others: BTreeMap<String, CommandConfig>,
+}
+
+impl<'de> Deserialize<'de> for CommandsConfig {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(CommandTables)
+    }
+}
+
+/// Reads commands. By hand, since a flattened map would lose the place of an error.
+struct CommandTables;
+
+impl<'de> Visitor<'de> for CommandTables {
+    type Value = CommandsConfig;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a table of commands")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<CommandsConfig, A::Error> {
+        let mut commands = CommandsConfig::default();
+        while let Some(key) = map.next_key::<String>()? {
+            if key == VELOCITY_COMMAND {
+                commands.base_velocity = Some(map.next_value()?);
+            } else if is_slip(&key, VELOCITY_COMMAND) {
+                return Err(serde::de::Error::unknown_field(&key, &[VELOCITY_COMMAND]));
+            } else {
+                commands.others.insert(key, map.next_value()?);
+            }
+        }
+        Ok(commands)
+    }
+}
+
+impl CommandsConfig {
+    /// Whether the task gives a command of this name.
+    pub fn has(&self, name: &str) -> bool {
+        if name == VELOCITY_COMMAND { self.base_velocity.is_some() } else { self.others.contains_key(name) }
+    }
+
+    /// Names of the commands.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        let velocity = self.base_velocity.as_ref().map(|_| VELOCITY_COMMAND);
+        velocity.into_iter().chain(self.others.keys().map(String::as_str))
+    }
+}
+
+/// Name of the command that is a velocity of the base.
+pub const VELOCITY_COMMAND: &str = "base_velocity";
+
+/// A command of another kind than a velocity.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+pub struct CommandConfig {
+    /// Time between two draws, s. Default: the command is drawn at resets alone.
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<Duration, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub resampling_time_s: Option<f64>,
+    /// The remaining keys, for [`parse_params`](super::parse_params).
+    #[serde(flatten, deserialize_with = "command_params")]
+    pub params: Table,
+}
+
+fn command_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
+    params_beside(deserializer, &["resampling_time_s"])
 }
 
 /// How velocity commands are drawn; each range uniformly, base frame, its ends from -1000 to 1000.
@@ -258,6 +328,26 @@ fn one_step() -> u32 {
 
 fn is_one_step(steps: &u32) -> bool {
     *steps == 1
+}
+
+impl VelocityCommandConfig {
+    /// The command to stand, for tasks that give no velocity command.
+    #[must_use]
+    pub fn none() -> Self {
+        Self {
+            lin_vel_x: [0.0; 2],
+            lin_vel_y: [0.0; 2],
+            ang_vel_z: [0.0; 2],
+            heading: [0.0; 2],
+            heading_command: false,
+            heading_control_stiffness: half(),
+            rel_heading_envs: 0.0,
+            rel_standing_envs: 1.0,
+            rel_turning_envs: 0.0,
+            rel_sideways_envs: 0.0,
+            resampling_time_s: 1e9,
+        }
+    }
 }
 
 /// Sensors that a task gives to every robot.
@@ -482,13 +572,16 @@ pub struct CurriculumConfig {
     /// Whether it changes anything. Default: yes.
     #[serde(default = "yes")]
     pub enabled: bool,
+    /// Name of the term, where the key is not it: a task may have a term several times.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub term: Option<String>,
     /// The remaining keys, for [`parse_params`](super::parse_params).
     #[serde(flatten, deserialize_with = "curriculum_params")]
     pub params: Table,
 }
 
 fn curriculum_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::Error> {
-    params_beside(deserializer, &["enabled"])
+    params_beside(deserializer, &["enabled", "term"])
 }
 
 /// One term of a reward set.

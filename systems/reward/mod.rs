@@ -1,9 +1,11 @@
 //! Rewards: the weighted sum of the terms of each robot's own reward set.
 
+mod command_terms;
 mod contact_terms;
 mod gait_terms;
 mod joint_terms;
 mod motion_terms;
+mod posture_terms;
 mod scaled_terms;
 
 use bevy_app::{App, Plugin};
@@ -14,7 +16,7 @@ use super::view::{RobotView, ViewParam};
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
 use crate::blocks::{Block, Blocks};
-use crate::components::{Env, Episode, EpisodeSums};
+use crate::components::{CurriculumProgress, Env, Episode, EpisodeSums};
 use crate::options::Autoreset;
 use crate::workers::Workers;
 
@@ -39,31 +41,35 @@ pub(super) fn compute_rewards(
     autoreset: Res<Autoreset>,
     views: ViewParam,
     mut batch: ResMut<Batch>,
-    mut envs: Blocks<(&'static Episode, &'static mut EpisodeSums), Env>,
+    mut envs: Blocks<(&'static Episode, &'static CurriculumProgress, &'static mut EpisodeSums), Env>,
 ) -> Result {
     let blocks = views.views(task.step_dt)?.zip(envs.write()?).zip_envs(&mut batch.rewards[..]);
-    blocks.for_each_chunk(&workers, |Block { morphology, envs, rows: ((views, (episodes, sums)), rewards) }| {
-        let terms = &task.rewards[usize::from(morphology.0)];
-        for i in 0..envs.len() {
-            let episode = &episodes[i];
-            let resetting = *autoreset == Autoreset::NextStep && episode.needs_reset && !episode.done();
-            if episode.invalid || resetting {
-                rewards[i] = 0.0;
-                continue;
+    blocks.for_each_chunk(
+        &workers,
+        |Block { morphology, envs, rows: ((views, (episodes, progress, sums)), rewards) }| {
+            let terms = &task.rewards[usize::from(morphology.0)];
+            for i in 0..envs.len() {
+                let episode = &episodes[i];
+                let resetting = *autoreset == Autoreset::NextStep && episode.needs_reset && !episode.done();
+                if episode.invalid || resetting {
+                    rewards[i] = 0.0;
+                    continue;
+                }
+                let view = RobotView { terminated: episode.terminated, ..views.get(i) };
+                let sums = &mut sums[i];
+                sums.add_errors(&view);
+                let mut total = 0.0;
+                for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
+                    let value =
+                        term.weight_at(progress[i].steps) * (term.value)(&view, workers.dispatch()) * task.step_dt;
+                    *sum += value;
+                    total += value;
+                }
+                sums.reward += total;
+                rewards[i] = total;
             }
-            let view = RobotView { terminated: episode.terminated, ..views.get(i) };
-            let sums = &mut sums[i];
-            sums.add_errors(&view);
-            let mut total = 0.0;
-            for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
-                let value = term.weight * (term.value)(&view, workers.dispatch()) * task.step_dt;
-                *sum += value;
-                total += value;
-            }
-            sums.reward += total;
-            rewards[i] = total;
-        }
-    });
+        },
+    );
     Ok(())
 }
 
@@ -73,6 +79,8 @@ pub(super) fn register(registry: &mut Registry) {
     joint_terms::register(registry);
     contact_terms::register(registry);
     gait_terms::register(registry);
+    command_terms::register(registry);
+    posture_terms::register(registry);
     scaled_terms::register(registry);
 }
 

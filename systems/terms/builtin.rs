@@ -1,12 +1,13 @@
 //! The built-in terms: each file of the pipeline registers its own.
 
-use super::super::{curriculum, disturb, observe, privileged, reset, reward, startup, terminate};
+use super::super::{command, curriculum, disturb, observe, privileged, reset, reward, schedules, startup, terminate};
 use super::registry::Registry;
 
 impl Registry {
     /// The built-in terms.
     pub fn builtin() -> Self {
         let mut registry = Self::default();
+        command::register(&mut registry);
         reward::register(&mut registry);
         observe::register(&mut registry);
         privileged::register(&mut registry);
@@ -15,6 +16,7 @@ impl Registry {
         reset::register(&mut registry);
         disturb::register(&mut registry);
         curriculum::register(&mut registry);
+        schedules::register(&mut registry);
         registry
     }
 }

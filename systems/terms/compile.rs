@@ -5,8 +5,10 @@ use std::ops::Range;
 
 use bevy_ecs::prelude::Resource;
 use serde::Deserialize;
-use toml::Table;
+use toml::{Table, Value};
 
+use super::super::command::CommandTerm;
+use super::super::schedules::{Schedules, VelocityRanges};
 use super::super::view::RobotView;
 use super::registry::{
     BodyFn, BuiltObservation, CurriculumFn, IntervalFn, NoParams, ObservationFn, Registry, ResetFn, RewardFn,
@@ -31,10 +33,18 @@ pub struct RewardTerm {
     pub name: String,
     /// Factor of its value.
     pub weight: f32,
+    /// Factors from later control steps of the simulation on, in the order of the steps.
+    pub(in crate::systems) later: Vec<(u64, f32)>,
     pub(in crate::systems) value: RewardFn,
 }
 
 impl RewardTerm {
+    /// Factor of its value in a control step of the simulation.
+    #[inline(always)]
+    pub fn weight_at(&self, step: u64) -> f32 {
+        self.later.iter().rfind(|(from, _)| *from <= step).map_or(self.weight, |(_, weight)| *weight)
+    }
+
     /// Its unweighted value per second for a robot.
     pub fn value(&self, robot: &RobotView) -> f32 {
         (self.value)(robot, Simd::Portable.dispatch())
@@ -107,8 +117,13 @@ pub(in crate::systems) struct IntervalEvent {
 pub struct CompiledTask {
     /// The config it was made from.
     pub config: TaskConfig,
-    /// Velocity commands of each morphology: the task's, within the robot's limits.
+    /// Velocity commands of each morphology: the task's, within the robot's limits. Zero in a task
+    /// without a velocity command.
     pub commands: Vec<VelocityCommandConfig>,
+    /// Ranges of the velocity commands of each morphology, as the curriculum changes them.
+    pub(in crate::systems) velocity_ranges: Vec<VelocityRanges>,
+    /// The other commands, in the order of their numbers.
+    pub command_terms: Vec<CommandTerm>,
     /// Slots of the batch.
     pub num_joints: usize,
     /// Length of a control step, s.
@@ -132,6 +147,7 @@ pub struct CompiledTask {
     physics_material: Option<PhysicsMaterial>,
     pub(in crate::systems) interval_events: Vec<IntervalEvent>,
     pub(in crate::systems) curriculum: Vec<CurriculumFn>,
+    pub(in crate::systems) schedules: Schedules,
 }
 
 /// The event that changes the shapes of links.
@@ -237,6 +253,7 @@ impl CompiledTask {
                     Some(external) => external_term(external, &term.params, file, &element, &morphologies.1)?,
                     None => {
                         let registered = find(&registry.observations, &term.term, file, &element, "observation")?;
+                        check_command(config, registry, &term.term, &term.params, &element)?;
                         let size = (registered.size)(config, &morphologies.1).map_err(|(problem, remedy)| {
                             ConfigError::invalid(file, element.as_str(), problem, remedy)
                         })?;
@@ -289,18 +306,22 @@ impl CompiledTask {
             let (terms, columns) = (first_term..observations.len(), first_column..width);
             groups.push(ObservationGroup { name: group.to_owned(), terms, columns });
         }
+        let schedules = Schedules::new(config)?;
         let mut rewards = Vec::new();
         for morphology in &morphologies.0 {
             let set = &morphology.config.reward_set;
             let mut terms = Vec::new();
             for (name, term) in config.reward_set(morphology.name(), set)? {
-                if term.weight == 0.0 {
+                let later = schedules.weights_of(name);
+                if term.weight == 0.0 && later.is_empty() {
                     continue;
                 }
                 let element = format!("rewards.{set}.{name}");
-                let build = find(&registry.rewards, term.term.as_ref().unwrap_or(name), file, &element, "reward")?;
+                let kind = term.term.as_ref().unwrap_or(name);
+                let build = find(&registry.rewards, kind, file, &element, "reward")?;
+                check_command(config, registry, kind, &term.params, &element)?;
                 let value = build(file, &element, &term.params, morphology)?;
-                terms.push(RewardTerm { name: name.clone(), weight: term.weight as f32, value });
+                terms.push(RewardTerm { name: name.clone(), weight: term.weight as f32, later, value });
             }
             rewards.push(terms);
         }
@@ -321,10 +342,20 @@ impl CompiledTask {
             let remedy = format!("name {MOST_TERMINATIONS} at most: let one term look for several reasons");
             return Err(ConfigError::invalid(file, "terminations", problem, remedy));
         }
-        let velocity = &config.commands.base_velocity;
-        let commands = morphologies.0.iter().map(|robot| robot.config.velocity_commands(velocity));
+        let commands = morphologies.0.iter().map(|robot| match &config.commands.base_velocity {
+            Some(velocity) => robot.config.velocity_commands(velocity),
+            None => Ok(VelocityCommandConfig::none()),
+        });
+        let commands = commands.collect::<Result<Vec<_>, _>>()?;
+        let mut velocity_ranges = Vec::new();
+        for (robot, commands) in morphologies.0.iter().zip(&commands) {
+            velocity_ranges.push(schedules.ranges_of(robot, config, commands)?);
+        }
         let mut task = Self {
-            commands: commands.collect::<Result<_, _>>()?,
+            commands,
+            velocity_ranges,
+            command_terms: command_terms(config, morphologies, registry)?,
+            schedules,
             num_joints,
             step_dt,
             max_episode_length: config.sim.max_episode_length(),
@@ -344,11 +375,17 @@ impl CompiledTask {
         };
         for (name, term) in config.curriculum.iter().filter(|(_, term)| term.enabled) {
             let element = format!("curriculum.{name}");
-            let build = find(&registry.curriculum, name, file, &element, "curriculum")?;
+            let build = find(&registry.curriculum, term.term.as_ref().unwrap_or(name), file, &element, "curriculum")?;
             task.curriculum.push(build(file, &element, &term.params)?);
         }
+        task.schedules.check_rewards(&task.rewards, config, morphologies)?;
         task.add_events(registry)?;
         Ok(task)
+    }
+
+    /// Whether the task gives a velocity command.
+    pub fn has_velocity_command(&self) -> bool {
+        self.config.commands.base_velocity.is_some()
     }
 
     /// Makes the events that are switched on, those of a kind in the order of their registration.
@@ -516,6 +553,66 @@ fn external_term(
     };
     let is_on: fn(&MorphologyModel, &TaskConfig) -> bool = |_, _| true;
     Ok((TermSpec::external(external), size, BuiltObservation { offset: 0.0, write: None }, is_on))
+}
+
+/// Makes the commands of a task other than the velocity.
+fn command_terms(
+    config: &TaskConfig,
+    morphologies: &Morphologies,
+    registry: &Registry,
+) -> Result<Vec<CommandTerm>, ConfigError> {
+    let file = config.name.as_str();
+    let (mut terms, mut start) = (Vec::new(), 0);
+    for (name, command) in &config.commands.others {
+        let element = format!("commands.{name}");
+        let registered = find(&registry.commands, name, file, &element, "command")?;
+        let Some(build) = &registered.build else {
+            continue;
+        };
+        let kinds = morphologies.0.iter().map(|robot| build(file, &element, &command.params, robot));
+        let end = start + registered.spec.columns.len();
+        terms.push(CommandTerm {
+            name: name.clone(),
+            columns: registered.spec.columns,
+            range: start..end,
+            resampling_time_s: command.resampling_time_s.map(|time| time as f32),
+            kinds: kinds.collect::<Result<_, _>>()?,
+        });
+        start = end;
+    }
+    if terms.len() > MOST_COMMANDS {
+        let problem = format!("there are {} commands", terms.len());
+        return Err(ConfigError::invalid(file, "commands", problem, format!("name {MOST_COMMANDS} at most")));
+    }
+    Ok(terms)
+}
+
+/// Largest number of commands other than the velocity: each has a bit of
+/// [`CommandNumbers::pinned`](crate::components::CommandNumbers::pinned).
+const MOST_COMMANDS: usize = u32::BITS as usize;
+
+/// Checks that the task gives the command that a term follows.
+fn check_command(
+    config: &TaskConfig,
+    registry: &Registry,
+    term: &str,
+    params: &Table,
+    element: &str,
+) -> Result<(), ConfigError> {
+    let Some(default) = registry.needs.get(term) else {
+        return Ok(());
+    };
+    let named = params.get("command_name").and_then(Value::as_str);
+    let command = named.unwrap_or(default);
+    // an unknown name is refused with the term's parameters
+    if config.commands.has(command) || !registry.commands.contains_key(command) {
+        return Ok(());
+    }
+    let given: Vec<&str> = config.commands.names().collect();
+    let given = if given.is_empty() { "no command".into() } else { given.join(", ") };
+    let problem = format!("the term `{term}` follows the command `{command}`, and the task gives {given}");
+    let remedy = format!("add [commands.{command}], or remove the term");
+    Err(ConfigError::invalid(config.name.as_str(), element, problem, remedy))
 }
 
 fn in_order<T>(mut events: Vec<(usize, T)>) -> Vec<T> {

@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use toml::Table;
 
+use super::super::command::{CommandKind, CommandSpec};
 use super::super::view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
 use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
@@ -30,6 +31,9 @@ pub(super) type TerminationFn = Box<dyn Fn(&RobotView, &Episode, u32) -> bool + 
 pub(super) type BodyFn = Box<dyn Fn(&mut NewBody, &mut EnvRng) + Send + Sync>;
 pub(super) type ResetFn = Box<dyn Fn(&mut NewState, &mut EnvRng) + Send + Sync>;
 pub(super) type CurriculumFn = Box<dyn Fn(&mut EpisodeEnd, &mut EnvRng) + Send + Sync>;
+/// Makes a kind of command from its parameters, for a robot.
+pub(super) type CommandBuilder =
+    Box<dyn Fn(&str, &str, &Table, &MorphologyModel) -> Result<Box<dyn CommandKind>, ConfigError> + Send + Sync>;
 /// Numbers of a term in a task and a batch of these slots.
 pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, &BatchSlots) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
@@ -45,6 +49,15 @@ pub struct Registry {
     pub(super) reset: Events<ResetFn>,
     pub(super) interval: Events<IntervalFn>,
     pub(super) curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
+    pub(super) commands: BTreeMap<&'static str, RegisteredCommand>,
+    /// Commands that reward and observation terms follow, unless their `command_name` names another.
+    pub(super) needs: BTreeMap<&'static str, &'static str>,
+}
+
+/// A kind of command, and how it is made; the velocity has a place of its own in a task.
+pub(super) struct RegisteredCommand {
+    pub(super) spec: CommandSpec,
+    pub(super) build: Option<CommandBuilder>,
 }
 
 /// An observation term: what it is, how many numbers it has in a task, and how it is made.
@@ -237,6 +250,50 @@ impl Registry {
             Ok(Box::new(move |body: &mut EventBody, rng: &mut EnvRng| f(&p, body, rng)))
         });
         self.interval.insert(name, (self.interval.len(), build));
+    }
+
+    /// A kind of command. `prepare` turns the task's parameters into the kind for a morphology, or
+    /// returns key, problem and remedy.
+    pub fn command<P, K>(
+        &mut self,
+        name: &'static str,
+        spec: CommandSpec,
+        prepare: fn(P, &MorphologyModel) -> Result<K, (String, String, String)>,
+    ) where
+        P: DeserializeOwned + 'static,
+        K: CommandKind,
+    {
+        let build: CommandBuilder = Box::new(move |file, element, table, robot| {
+            let p: P = parse_params(file, element, table)?;
+            match prepare(p, robot) {
+                Ok(kind) => Ok(Box::new(kind)),
+                Err((key, problem, remedy)) => {
+                    Err(ConfigError::invalid(file, format!("{element}.{key}"), problem, remedy))
+                }
+            }
+        });
+        self.commands.insert(name, RegisteredCommand { spec, build: Some(build) });
+    }
+
+    /// The kind whose numbers are a velocity of the base.
+    pub(in crate::systems) fn velocity_command(&mut self, name: &'static str, spec: CommandSpec) {
+        self.commands.insert(name, RegisteredCommand { spec, build: None });
+    }
+
+    /// Makes tasks that name a reward or observation term give the command that it follows. A
+    /// `command_name` among the term's parameters names another command.
+    pub fn needs_command(&mut self, term: &'static str, command: &'static str) {
+        self.needs.insert(term, command);
+    }
+
+    /// Names and descriptions of all kinds of commands.
+    pub fn command_specs(&self) -> impl Iterator<Item = (&'static str, &CommandSpec)> {
+        self.commands.iter().map(|(name, registered)| (*name, &registered.spec))
+    }
+
+    /// Names of all curriculum terms.
+    pub fn curriculum_names(&self) -> impl Iterator<Item = &'static str> {
+        self.curriculum.keys().copied()
     }
 
     /// A curriculum term: changes an env when its episode ends.

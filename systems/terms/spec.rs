@@ -19,6 +19,8 @@ const JOINTS: usize = CANONICAL_JOINT_NAMES.len();
 pub enum TermKind {
     /// Numbers that a mirror leaves alone.
     Scalar,
+    /// Numbers that change their signs in a mirror, such as an angle to the left.
+    Odd,
     /// A vector x, y, z: y changes its sign.
     Vector,
     /// A pseudovector x, y, z, such as an angular velocity: x and z change their signs.
@@ -250,6 +252,7 @@ impl TermSpec {
         let signs = |signs: [f32; 3]| (0..size).map(|i| (i, signs[i % 3])).collect();
         match self.kind {
             TermKind::Scalar => signs([1.0; 3]),
+            TermKind::Odd => signs([-1.0; 3]),
             TermKind::Vector => signs([1.0, -1.0, 1.0]),
             TermKind::Pseudovector => signs([-1.0, 1.0, -1.0]),
             TermKind::PlanarVelocity => signs([1.0, -1.0, -1.0]),

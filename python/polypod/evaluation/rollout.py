@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.arrays import Array
+from polypod.compat import tomllib
 from polypod.evaluation import measures, walking
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.networks.policies import Policy, reset
@@ -122,6 +123,11 @@ def evaluate(
         autoreset="disabled",
         slots=list(slots),
     )
+    if "base_velocity" not in tomllib.loads(sim.resolved_config())["task"]["commands"]:
+        if grid is not None:
+            raise _core.ConfigError(f"{sim.task_name}: grid: the task gives no velocity command (`base_velocity`)")
+        # nothing to schedule: the task draws what it asks for
+        commands = "task"
     is_scheduled = grid is None and commands == "walking"
     longest = walking.episode_steps(sim.step_dt) if is_scheduled else sim.max_episode_length
     length = min(steps or longest, sim.max_episode_length)

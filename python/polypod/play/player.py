@@ -219,8 +219,10 @@ class Player(Scene):
 
 
 def _ranges(task: dict[str, Any]) -> Array:
-    ranges = task["commands"]["base_velocity"]
-    return np.array([ranges[key] for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")], dtype=np.float64)
+    ranges = task["commands"].get("base_velocity")
+    keys = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
+    # a task without a velocity command asks for none
+    return np.array([ranges[key] if ranges else [0.0, 0.0] for key in keys], dtype=np.float64)
 
 
 def aligned_starts(task: dict[str, Any]) -> list[str]:

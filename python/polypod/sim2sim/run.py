@@ -278,6 +278,12 @@ class Episode:
             )
         self.seed = options.seed
         task = tomllib.loads(self.sim.resolved_config())["task"]
+        if "base_velocity" not in task["commands"]:
+            given = ", ".join(task["commands"]) or "no command"
+            raise _core.ConfigError(
+                f"{self.sim.task_name}: commands: the task gives {given}; sim2sim compares velocity commands "
+                "(`base_velocity`)"
+            )
         if task["scene"].get("obstacles"):
             raise _core.ConfigError(
                 f"{self.sim.task_name}: scene.obstacles: MuJoCo is given the task's ground and gravity; compare in a "

@@ -1,0 +1,233 @@
+//! A command is drawn from its ranges, again after its time, and not where the caller has set it.
+//! Observations and rewards follow it; a task without it refuses them by name.
+
+use polypod::components::{BasePose, CommandNumbers, ContactSensor, EnvId, EpisodeSums, Feet, Imu};
+use polypod::{Error, Sim, SimOptions};
+
+use crate::common;
+
+/// A task with all commands; `lines` end it.
+fn task(name: &str, lines: &str) -> String {
+    let commands = r#"
+[commands.pose]
+resampling_time_s = 0.1
+height_share = [0.6, 1.0]
+roll = [-0.3, 0.3]
+pitch = [0.1, 0.4]
+[commands.heading]
+resampling_time_s = 0.06
+heading = [1.0, 3.0]
+[commands.position]
+pos_x = [2.0, 3.0]
+pos_y = [-4.0, -1.0]
+[commands.gait]
+resampling_time_s = 10.0
+frequency = [1.5, 3.0]
+duration = [0.4, 0.6]
+"#;
+    common::extended_task(name, "velocity_flat", &format!("{commands}{lines}"))
+}
+
+fn options(task: String) -> SimOptions {
+    let robots = ["unitree_go1", "anymal_c"].map(String::from);
+    SimOptions { robots: Some(robots.into()), seed: 3, threads: Some(1), ..SimOptions::new(task, 64) }
+}
+
+/// Numbers of a command of all envs.
+fn numbers(sim: &mut Sim, name: &str) -> Vec<Vec<f32>> {
+    let range = sim.task().command_terms.iter().find(|term| term.name == name).unwrap().range.clone();
+    let world = sim.world_mut();
+    let mut all: Vec<_> = world.query::<(&EnvId, &CommandNumbers)>().iter(world).collect();
+    all.sort_by_key(|(env, _)| **env);
+    all.into_iter().map(|(_, commands)| commands.numbers[range.clone()].to_vec()).collect()
+}
+
+fn still(sim: &mut Sim, steps: usize) {
+    let actions = vec![0.0; sim.batch().actions.len()];
+    (0..steps).for_each(|_| sim.step(&actions).unwrap());
+}
+
+#[test]
+fn draws_stay_in_their_ranges_and_follow_their_times() {
+    let mut sim = Sim::new(&options(task("draws", ""))).unwrap();
+    let within = |values: &[Vec<f32>], column: usize, [low, high]: [f32; 2]| {
+        let column: Vec<f32> = values.iter().map(|row| row[column]).collect();
+        assert!(column.iter().all(|x| (low..=high).contains(x)), "{column:?}");
+        let (least, most) = (column.iter().copied().fold(high, f32::min), column.iter().copied().fold(low, f32::max));
+        assert!(most - least > 0.8 * (high - low), "{least} to {most} of {low} to {high}");
+    };
+    let pose = numbers(&mut sim, "pose");
+    within(&pose, 1, [-0.3, 0.3]);
+    within(&pose, 2, [0.1, 0.4]);
+    // each robot in shares of its own height
+    for (index, rows) in [(0, 0..32), (1, 32..64)] {
+        let model = &sim.morphologies()[index];
+        let height = model.stance.spawn_height - model.config.reset.spawn_margin as f32;
+        within(&pose[rows], 0, [0.6 * height, height]);
+    }
+    within(&numbers(&mut sim, "heading"), 0, [1.0, 3.0]);
+    let position = numbers(&mut sim, "position");
+    within(&position, 0, [2.0, 3.0]);
+    within(&position, 1, [-4.0, -1.0]);
+    let gait = numbers(&mut sim, "gait");
+    within(&gait, 1, [1.5, 3.0]);
+    within(&gait, 5, [0.4, 0.6]);
+    assert!(gait.iter().all(|row| row[2..5] == [0.5, 0.0, 0.0]));
+
+    still(&mut sim, 3);
+    let heading = numbers(&mut sim, "heading");
+    assert_eq!((&numbers(&mut sim, "pose"), &numbers(&mut sim, "position")), (&pose, &position));
+    still(&mut sim, 1);
+    assert!(numbers(&mut sim, "heading").iter().zip(&heading).all(|(now, then)| now != then));
+    still(&mut sim, 2);
+    assert!(numbers(&mut sim, "pose").iter().zip(&pose).all(|(now, then)| now != then));
+    // without a resampling time a reset alone draws
+    assert_eq!(numbers(&mut sim, "position"), position);
+    sim.reset(None, None).unwrap();
+    assert!(numbers(&mut sim, "position").iter().zip(&position).all(|(now, then)| now != then));
+    // the clock runs at the frequency, through draws and resets
+    let now = numbers(&mut sim, "gait");
+    for (row, first) in now.iter().zip(&gait) {
+        let turns = first[1] * 6.0 * 0.02;
+        assert!((row[0] - turns).abs() < 1e-5, "{row:?}, {turns}");
+    }
+}
+
+#[test]
+fn a_pinned_command_stays_until_it_is_released() {
+    let mut sim = Sim::new(&options(task("pins", ""))).unwrap();
+    let wanted: Vec<f32> = (0..64).map(|env| 0.01 * env as f32).collect();
+    sim.pin_command("heading", Some(&wanted)).unwrap();
+    still(&mut sim, 10);
+    sim.reset(None, None).unwrap();
+    assert_eq!(numbers(&mut sim, "heading").concat(), wanted);
+    sim.pin_command("heading", None).unwrap();
+    still(&mut sim, 10);
+    assert!(numbers(&mut sim, "heading").concat().iter().all(|heading| *heading >= 1.0));
+    for (name, given, said) in [("headings", 64, "did you mean `heading`"), ("heading", 63, "64 rows of heading")] {
+        let error = sim.pin_command(name, Some(&vec![0.0; given])).unwrap_err().to_string();
+        assert!(error.contains(said), "{error}");
+    }
+}
+
+#[test]
+fn observations_and_rewards_follow_the_commands() {
+    let rewards = r#"
+[rewards.unitree]
+track_base_height_exp = { weight = 1.0, std = 0.2 }
+orientation_control = { weight = 1.0 }
+heading_command_error_abs = { weight = 1.0 }
+heading_there = { term = "heading_command_error_abs", weight = 1.0, command_name = "position" }
+position_command_error_tanh = { weight = 1.0, std = 2.0 }
+tracking_contacts_shaped_force = { weight = 1.0 }
+tracking_contacts_shaped_vel = { weight = 1.0 }
+[observations]
+enable_noise = false
+policy = [{ term = "pose_commands" }, { term = "heading_commands" }, { term = "position_commands" }, { term = "clock_inputs" }, { term = "gait_commands" }]
+"#;
+    let options = SimOptions { robots: Some(vec!["unitree_go1".into()]), ..options(task("follows", rewards)) };
+    let mut sim = Sim::new(&options).unwrap();
+    still(&mut sim, 1);
+    let (pose, heading) = (numbers(&mut sim, "pose"), numbers(&mut sim, "heading"));
+    let (position, gait) = (numbers(&mut sim, "position"), numbers(&mut sim, "gait"));
+    let names: Vec<String> = sim.task().rewards[0].iter().map(|term| term.name.clone()).collect();
+    let feet = sim.morphologies()[0].feet.clone();
+    let (observations, width) = (sim.batch().observations.clone(), sim.batch().num_obs);
+    let world = sim.world_mut();
+    let mut sensors = world.query::<(&EnvId, &ContactSensor)>();
+    let mut forces: Vec<_> = sensors.iter(world).map(|(env, sensor)| (*env, sensor.peak_force.clone())).collect();
+    forces.sort_by_key(|(env, _)| *env);
+    let mut sums: Vec<_> =
+        world.query::<(&EnvId, &EpisodeSums)>().iter(world).map(|(env, sums)| (*env, sums.terms.clone())).collect();
+    sums.sort_by_key(|(env, _)| *env);
+    let mut imus: Vec<_> =
+        world.query::<(&EnvId, &Imu)>().iter(world).map(|(env, imu)| (*env, imu.projected_gravity)).collect();
+    imus.sort_by_key(|(env, _)| *env);
+    let mut robots = world.query::<(&EnvId, &BasePose, &Feet)>();
+    let states: Vec<_> = robots.iter(world).map(|(env, pose, feet)| (env.0 as usize, *pose, feet.clone())).collect();
+    assert_eq!(states.len(), 64);
+    for (env, base, foot) in states {
+        let [w, x, y, z] = base.rotation.map(f64::from);
+        let yaw = (2.0 * (x * y + w * z)).atan2(1.0 - 2.0 * (y * y + z * z));
+        let wrap = |angle: f64| angle.sin().atan2(angle.cos());
+        let turn = wrap(f64::from(heading[env][0]) - yaw);
+        let [px, py, wanted] = [0, 1, 2].map(|k| f64::from(position[env][k]));
+        let (dx, dy) = (px - f64::from(base.position[0]), py - f64::from(base.position[1]));
+        let there = [yaw.cos() * dx + yaw.sin() * dy, yaw.cos() * dy - yaw.sin() * dx, wrap(wanted - yaw)];
+        let [clock, frequency, phase, offset, bound, duration] = [0, 1, 2, 3, 4, 5].map(|k| f64::from(gait[env][k]));
+        // left front, left hind, right front, right hind
+        let clocks = [phase + offset + bound, bound, offset, phase].map(|lead| {
+            let at = (clock + lead).rem_euclid(1.0);
+            if at < duration { 0.5 * at / duration } else { 0.5 + 0.5 * (at - duration) / (1.0 - duration) }
+        });
+        let sines = clocks.map(|clock| (std::f64::consts::TAU * clock).sin());
+        let seen =
+            [&[0, 1, 2].map(|k| f64::from(pose[env][k]))[..], &[turn], &there, &sines, &[frequency, duration]].concat();
+        let row = &observations[env * width..(env + 1) * width];
+        for (found, expected) in row.iter().zip(&seen) {
+            assert!((f64::from(*found) - expected).abs() < 2e-5, "{row:?} is not {seen:?}");
+        }
+
+        let gravity = imus[env].1.map(f64::from);
+        let [height, roll, pitch] = [0, 1, 2].map(|k| f64::from(pose[env][k]));
+        let lean = [gravity[0] - pitch.sin(), gravity[1] + roll.sin() * pitch.cos()];
+        let cdf = |x: f64| 1.0 / (1.0 + (-1.702 * x / 0.07).exp());
+        let stand = clocks.map(|c| cdf(c) * (1.0 - cdf(c - 0.5)) + cdf(c - 1.0) * (1.0 - cdf(c - 1.5)));
+        let (mut force, mut speed) = (0.0, 0.0);
+        for k in 0..4 {
+            let f = f64::from(forces[env].1[feet[k]]);
+            let v: f64 = foot.velocity[k].iter().map(|v| f64::from(*v).powi(2)).sum();
+            force -= 0.25 * (1.0 - stand[k]) * (1.0 - (-f * f / 100.0).exp());
+            speed -= 0.25 * stand[k] * (1.0 - (-v / 10.0).exp());
+        }
+        for (name, sum) in names.iter().zip(&sums[env].1) {
+            let expected = match name.as_str() {
+                "track_base_height_exp" => (-(height - f64::from(base.position[2])).powi(2) / 0.04).exp(),
+                "orientation_control" => lean[0] * lean[0] + lean[1] * lean[1],
+                "heading_command_error_abs" => turn.abs(),
+                "heading_there" => there[2].abs(),
+                "position_command_error_tanh" => 1.0 - (there[0].hypot(there[1]) / 2.0).tanh(),
+                "tracking_contacts_shaped_force" => force,
+                "tracking_contacts_shaped_vel" => speed,
+                _ => continue,
+            };
+            let found = f64::from(*sum) / 0.02;
+            assert!((found - expected).abs() < 1e-4, "{name} of env {env} is {found}, not {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_task_refuses_terms_of_commands_that_it_lacks() {
+    let refused = |task: String, overrides: &[&str], said: &[&str]| {
+        let overrides = overrides.iter().map(|text| text.to_string()).collect();
+        let error = match Sim::new(&SimOptions { overrides, ..SimOptions::new(task, 8) }) {
+            Err(error) => error.to_string(),
+            Ok(_) => panic!("{said:?} is taken"),
+        };
+        said.iter().for_each(|said| assert!(error.contains(said), "{error}"));
+    };
+    let flat = || "velocity_flat".to_owned();
+    let heading = ["rewards.anymal.heading_command_error_abs={weight=1.0}"];
+    refused(flat(), &heading, &["heading_command_error_abs", "`heading`", "base_velocity", "[commands.heading]"]);
+    let there = ["rewards.anymal.heading_command_error_abs={weight=1.0, command_name=\"position\"}"];
+    refused(flat(), &there, &["`position`", "[commands.position]"]);
+    let lines = "[[observations.critic]]\nterm = \"clock_inputs\"";
+    refused(common::extended_task("clockless", "velocity_flat", lines), &[], &["clock_inputs", "`gait`"]);
+    let lines = "[rewards.getup]\ntrack_lin_vel_xy_exp = { weight = 1.0, std = 0.5 }";
+    let said = ["track_lin_vel_xy_exp", "`base_velocity`", "the task gives none"];
+    refused(common::extended_task("velocityless", "getup_flat", lines), &[], &said);
+    refused(flat(), &["commands.headings={}"], &["commands.headings", "did you mean `heading`"]);
+    refused(flat(), &["commands.pose={rol=[0.0, 1.0]}"], &["commands.pose", "rol"]);
+    refused(flat(), &["commands.gait={frequency=[-1.0, 1.0]}"], &["commands.gait.frequency", "negative"]);
+}
+
+#[test]
+fn a_task_without_a_velocity_command_says_so() {
+    let mut sim = Sim::new(&SimOptions::new("getup_flat", 8)).unwrap();
+    let error = sim.set_commands(Some(&[0.0; 24])).unwrap_err();
+    assert!(matches!(error, Error::Argument { .. }), "{error}");
+    let error = error.to_string();
+    ["Getup-Flat-v0", "none", "base_velocity"].iter().for_each(|said| assert!(error.contains(said), "{error}"));
+    sim.set_commands(None).unwrap();
+}
