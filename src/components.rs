@@ -199,8 +199,8 @@ pub struct CurriculumProgress {
     pub steps: u64,
     /// Amount by which the ranges of the velocity command are widened at each end, m/s or rad/s.
     pub widening: f32,
-    /// Running mean over the env's last episodes of the tracking reward, as a share of the most that
-    /// an episode can give.
+    /// Running mean over the env's last episodes of the tracking reward, as a share of the most
+    /// that an episode can give.
     pub tracking: f32,
 }
 

@@ -7,7 +7,7 @@
 //! | `modify_reward_weight` | Isaac Lab (BSD-3-Clause) | a reward term's weight from a control step on |
 //!
 //! legged_gym widens the ranges of all envs by the mean over those that are reset together. Here
-//! each env has ranges of its own, widened by the running mean over its own episodes. They depend
+//! each env has separate ranges, widened by the running mean over its own episodes. They depend
 //! neither on other envs nor on how the envs are spread over processes.
 
 use std::collections::BTreeMap;
@@ -100,8 +100,8 @@ struct ModifyRewardWeight {
     num_steps: f64,
 }
 
-/// All terms of this file. What depends on the step alone is no change at an episode's end: it is
-/// read where it acts.
+/// All terms of this file. Weights and ranges that depend on the step alone are read where they
+/// act, and change nothing at an episode's end.
 pub(super) fn register(registry: &mut Registry) {
     registry.curriculum(COMMAND_CURRICULUM, widen_commands);
     registry.curriculum(COMMANDS_VEL, |_: &CommandsVel, _, _| {});

@@ -112,7 +112,7 @@ fn ranges_of_commands_change_at_their_step_and_widen_with_success() {
     assert_eq!(curves["Curriculum/unitree_a1/ang_vel_z_max"], 0.5);
     let low = curves["Curriculum/unitree_go1/lin_vel_x_min"];
     assert!((-2.25..=-1.0).contains(&low), "{low}");
-    // a seed begins anew
+    // a seed begins again
     sim.reset(Some(5), None).unwrap();
     assert!(progress(&mut sim).iter().all(|progress| *progress == CurriculumProgress::default()));
 }

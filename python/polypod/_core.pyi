@@ -460,8 +460,8 @@ class VecSim:
         - `term`, `size`: name and number of numbers, those that the term remembers included.
         - `history_length`: control steps that it remembers, the present one included; the oldest
           numbers come first.
-        - `kind`: scalar, odd, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or body:
-          how the numbers are mirrored.
+        - `kind`: scalar, odd, vector, pseudovector, planar_velocity, per_joint, per_foot, scan or
+          body: how the numbers are mirrored.
         - `units`, `description`: what they say.
         - `source`: what the term is computed from on a robot: measured (given as it is),
           robot_constant (known of the robot), center_of_mass_velocity, base_angular_velocity,
@@ -1396,6 +1396,12 @@ def observation_specs() -> str:
     {name: {kind, units, description, source, ...}}.
 
     Keys and values are those of `VecSim.observation_terms`; what depends on a task is left out.
+    """
+
+def command_specs() -> str:
+    """JSON of all kinds of commands that a task may name.
+
+    {name: {columns, description}}: names of a command's numbers, and what they are.
     """
 
 def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> TrainFile:

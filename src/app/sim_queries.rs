@@ -157,8 +157,8 @@ impl Sim {
     /// releases it: the next draw follows its time.
     ///
     /// # Errors
-    /// A command that the task does not give; the wrong number of numbers, or one that is not finite
-    /// or beyond 1000.
+    /// A command that the task does not give; the wrong number of numbers, or one that is not
+    /// finite or beyond 1000.
     pub fn pin_command(&mut self, name: &str, numbers: Option<&[f32]>) -> Result<(), Error> {
         let terms = &self.task().command_terms;
         let Some(bit) = terms.iter().position(|term| term.name == name) else {

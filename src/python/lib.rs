@@ -69,6 +69,14 @@ fn observation_specs(py: Python<'_>) -> PyResult<String> {
     vec_sim::written(py, serde_json::to_string(&specs))
 }
 
+#[doc = docstring!("command_specs")]
+#[pyfunction]
+fn command_specs(py: Python<'_>) -> PyResult<String> {
+    let registry = Registry::builtin();
+    let specs: BTreeMap<_, _> = registry.command_specs().collect();
+    vec_sim::written(py, serde_json::to_string(&specs))
+}
+
 #[doc = docstring!("broken_configs")]
 #[pyfunction]
 fn broken_configs(py: Python<'_>) -> PyResult<Vec<String>> {
@@ -263,6 +271,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(robots, module)?)?;
     module.add_function(wrap_pyfunction!(broken_configs, module)?)?;
     module.add_function(wrap_pyfunction!(observation_specs, module)?)?;
+    module.add_function(wrap_pyfunction!(command_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(check_names, module)?)?;
     module.add_function(wrap_pyfunction!(play_task, module)?)?;

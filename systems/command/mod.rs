@@ -1,9 +1,9 @@
 //! Commands: what a policy is asked for. A kind of command is a file of this folder and a line in
 //! [`register`].
 //!
-//! A kind has columns, ranges, a resampling time, an observation term and reward terms. A task names
-//! it in `[commands]`. The velocity command stands in the component [`Command`], all others in
-//! [`CommandNumbers`].
+//! A kind has columns, ranges, a resampling time, an observation term and reward terms. A task
+//! names it in `[commands]`. The velocity command stands in the component [`Command`], all others
+//! in [`CommandNumbers`].
 
 pub(super) mod gait;
 pub(super) mod heading;
@@ -15,6 +15,7 @@ use std::ops::Range;
 
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
+use serde::Serialize;
 use smallvec::smallvec;
 
 use self::velocity::CommandRows;
@@ -55,7 +56,7 @@ impl CommandKind for Nothing {
 }
 
 /// Description of a kind of command.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct CommandSpec {
     /// Names of its numbers.
     pub columns: &'static [&'static str],
@@ -91,7 +92,7 @@ pub struct CommandTerm {
     pub range: Range<usize>,
     /// Time between two draws, s; absent where a reset alone draws it.
     pub(super) resampling_time_s: Option<f32>,
-    /// What each morphology does with it.
+    /// The kind, for each morphology.
     pub(super) kinds: Vec<Box<dyn CommandKind>>,
 }
 

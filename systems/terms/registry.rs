@@ -50,7 +50,8 @@ pub struct Registry {
     pub(super) interval: Events<IntervalFn>,
     pub(super) curriculum: BTreeMap<&'static str, Builder<CurriculumFn>>,
     pub(super) commands: BTreeMap<&'static str, RegisteredCommand>,
-    /// Commands that reward and observation terms follow, unless their `command_name` names another.
+    /// Commands that reward and observation terms follow, unless their `command_name` names
+    /// another.
     pub(super) needs: BTreeMap<&'static str, &'static str>,
 }
 

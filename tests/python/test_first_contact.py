@@ -191,6 +191,9 @@ def test_lists_as_json(cli):
     policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
     train_configs = listed.pop("train_configs")
     assert {"flat", "quick", "rough_universal"} <= {config["name"] for config in train_configs}
+    commands = {command["name"]: command["columns"] for command in listed.pop("commands")}
+    assert {"base_velocity", "gait", "heading", "none", "pose", "position"} == set(commands)
+    assert commands["pose"] == ["height", "roll", "pitch"]
     assert listed == {"tasks": polypod.tasks(), "robots": polypod.robots(), "policies": policies}
     assert json.loads(cli("list", "robots", "--json").stdout) == {"robots": polypod.robots()}
 

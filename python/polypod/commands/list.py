@@ -10,13 +10,13 @@ import tyro
 
 from polypod import _core, bundled
 
-Kind = Literal["all", "tasks", "robots", "policies", "train_configs"]
+Kind = Literal["all", "tasks", "robots", "policies", "train_configs", "commands"]
 Task = Mapping[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
 class List:
-    """List the tasks, the robots, the bundled policies and the train configs."""
+    """List tasks, robots, bundled policies, train configs and kinds of commands."""
 
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
     """Kind of thing to list. `tasks` also lists the tasks that are made for one robot."""
@@ -30,6 +30,7 @@ class List:
             "robots": _core.robots,
             "policies": _policies,
             "train_configs": _core.train_configs,
+            "commands": _commands,
         }
         listed = {name: entries() for name, entries in kinds.items() if self.kind in ("all", name)}
         if self.json:
@@ -61,10 +62,18 @@ class List:
             print("train configs")
             for config in listed["train_configs"]:
                 print(f"  {config['name']:<44} {config['title']}".rstrip())
+        if "commands" in listed:
+            print("commands")
+            for command in listed["commands"]:
+                print(f"  {command['name']:<44} {command['description']}")
 
 
 def _policies() -> list[dict[str, str]]:
     return [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
+
+
+def _commands() -> list[dict[str, Any]]:
+    return [{"name": name, **spec} for name, spec in json.loads(_core.command_specs()).items()]
 
 
 def _split(tasks: Sequence[Task]) -> tuple[list[Task], list[Task]]:
