@@ -72,7 +72,7 @@ fn joints_are_anywhere_within_their_limits() {
 fn nothing_but_time_ends_an_episode_of_getting_up() {
     for (task, robots, seconds) in [
         ("getup_flat", &["anymal_d", "unitree_go1", "spot"][..], 6.0),
-        ("getup_flat_humanoid", &["unitree_g1", "unitree_h1", "booster_t1"], 1.0),
+        ("getup_flat_humanoid", &["unitree_g1", "unitree_h1", "booster_t1"][..], 1.0),
     ] {
         let length = format!("sim.episode_length_s={seconds:?}");
         let mut sim = getup(task, robots, 12, &[&length]);
