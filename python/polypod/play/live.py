@@ -197,9 +197,18 @@ class Live:
         self.changed()
 
     def command_by(self, source: str) -> None:
-        """Takes commands from one of `SOURCES`. Raises ConfigError for anything else."""
+        """Takes commands from one of `SOURCES`.
+
+        Raises ConfigError for anything else, and for another source than the task where the task
+        gives no velocity command.
+        """
         if source not in SOURCES:
             raise _core.ConfigError(f"commands from {str(source)[:80]!r}: choose one of {', '.join(SOURCES)}")
+        if source != FROM_TASK and not self.player.has_velocity:
+            given = ", ".join(self.player.config["commands"]) or "no command"
+            raise _core.ConfigError(
+                f"commands: {self.player.sim.task_name} gives {given}, and no velocity command (`base_velocity`)"
+            )
         self.source = source
         self._command()
         self.changed()
@@ -249,7 +258,8 @@ class Live:
         self.viewer.open(player, columns_of(player))
         self.history = History(player, 0)
         self.own = np.zeros(3)
-        self.command_by(FROM_TASK if self.source == TOGETHER and not player.alone else self.source)
+        is_kept = player.has_velocity and (self.source != TOGETHER or player.alone)
+        self.command_by(self.source if is_kept else FROM_TASK)
         self.opened()
 
     def _command(self) -> None:

@@ -109,6 +109,8 @@ class Player(Scene):
         self.ranges = _ranges(self.config)
         """[3, 2], smallest and largest commands that the task draws: forward, left, m/s, and yaw
         rate, rad/s."""
+        self.has_velocity = "base_velocity" in self.config["commands"]
+        """Whether the task gives a velocity command."""
         if command is not None:
             self.command(command)
             self.sim.reset()

@@ -144,7 +144,7 @@ def _watch(player: Player, viewer: Viewer, options: Options, seconds: float | No
     if options.command is not None:
         live.own[:] = options.command
         live.command_by(OWN)
-    elif player.alone and player.sim.num_envs > 1:
+    elif player.alone and player.sim.num_envs > 1 and player.has_velocity:
         live.command_by(TOGETHER)
     panel.refresh()
     try:
