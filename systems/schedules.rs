@@ -44,13 +44,13 @@ struct CommandCurriculum {
     /// Amount by which both ends of a range move after an episode, m/s or rad/s. Default: 0.1.
     #[serde(default = "tenth", deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     step: f32,
-    /// Widest forward speeds, m/s. Default: those of the command.
+    /// Widest forward speeds, m/s. Default: the range is not widened.
     #[serde(default, deserialize_with = "values::optional_command_range")]
     lin_vel_x: Option<[f64; 2]>,
-    /// Widest speeds to the left, m/s. Default: those of the command.
+    /// Widest speeds to the left, m/s. Default: the range is not widened.
     #[serde(default, deserialize_with = "values::optional_command_range")]
     lin_vel_y: Option<[f64; 2]>,
-    /// Widest yaw rates, rad/s. Default: those of the command.
+    /// Widest yaw rates, rad/s. Default: the range is not widened.
     #[serde(default, deserialize_with = "values::optional_command_range")]
     ang_vel_z: Option<[f64; 2]>,
 }
@@ -137,8 +137,8 @@ pub(in crate::systems) struct VelocityRanges {
     base: [[f32; 2]; 3],
     /// Ranges from a control step on, in the order of the steps.
     stages: Vec<(u64, [[f32; 2]; 3])>,
-    /// Ranges beyond which none is widened.
-    widest: Option<[[f32; 2]; 3]>,
+    /// Ranges beyond which none is widened; absent for those that are not widened.
+    widest: [Option<[f32; 2]>; 3],
 }
 
 impl VelocityRanges {
@@ -147,8 +147,8 @@ impl VelocityRanges {
     pub(in crate::systems) fn at(&self, progress: &CurriculumProgress) -> [[f32; 2]; 3] {
         let stage = self.stages.iter().rfind(|(step, _)| *step <= progress.steps);
         let mut ranges = stage.map_or(self.base, |(_, ranges)| *ranges);
-        if let Some(widest) = &self.widest {
-            for ([low, high], [least, most]) in ranges.iter_mut().zip(widest) {
+        for ([low, high], widest) in ranges.iter_mut().zip(&self.widest) {
+            if let Some([least, most]) = widest {
                 *low = (*low - progress.widening).max(*least).min(*low);
                 *high = (*high + progress.widening).min(*most).max(*high);
             }
@@ -158,7 +158,7 @@ impl VelocityRanges {
 
     /// Whether the ranges change.
     pub(in crate::systems) fn are_scheduled(&self) -> bool {
-        !self.stages.is_empty() || self.widest.is_some()
+        !self.stages.is_empty() || self.widest.iter().any(Option::is_some)
     }
 }
 
@@ -250,7 +250,7 @@ impl Schedules {
         let of = |commands: &VelocityCommandConfig| {
             [commands.lin_vel_x, commands.lin_vel_y, commands.ang_vel_z].map(|range| range.map(|x| x as f32))
         };
-        let mut ranges = VelocityRanges { base: of(commands), stages: Vec::new(), widest: None };
+        let mut ranges = VelocityRanges { base: of(commands), stages: Vec::new(), widest: [None; 3] };
         let Some(task) = &config.commands.base_velocity else {
             return Ok(ranges);
         };
@@ -294,7 +294,10 @@ impl Schedules {
                 ang_vel_z: term.ang_vel_z.unwrap_or(task.ang_vel_z),
                 ..task.clone()
             };
-            ranges.widest = Some(of(&robot.config.velocity_commands(&widest)?));
+            let within_robot = of(&robot.config.velocity_commands(&widest)?);
+            for ((place, (_, limit)), within) in ranges.widest.iter_mut().zip(limits).zip(within_robot) {
+                *place = limit.map(|_| within);
+            }
         }
         Ok(ranges)
     }

@@ -201,16 +201,17 @@ policy = [{ term = "pose_commands" }, { term = "heading_commands" }, { term = "p
 fn a_task_refuses_terms_of_commands_that_it_lacks() {
     let refused = |task: String, overrides: &[&str], said: &[&str]| {
         let overrides = overrides.iter().map(|text| text.to_string()).collect();
-        let error = match Sim::new(&SimOptions { overrides, ..SimOptions::new(task, 8) }) {
+        let robots = Some(vec!["unitree_go1".into()]);
+        let error = match Sim::new(&SimOptions { overrides, robots, ..SimOptions::new(task, 1) }) {
             Err(error) => error.to_string(),
             Ok(_) => panic!("{said:?} is taken"),
         };
         said.iter().for_each(|said| assert!(error.contains(said), "{error}"));
     };
     let flat = || "velocity_flat".to_owned();
-    let heading = ["rewards.anymal.heading_command_error_abs={weight=1.0}"];
+    let heading = ["rewards.unitree.heading_command_error_abs={weight=1.0}"];
     refused(flat(), &heading, &["heading_command_error_abs", "`heading`", "base_velocity", "[commands.heading]"]);
-    let there = ["rewards.anymal.heading_command_error_abs={weight=1.0, command_name=\"position\"}"];
+    let there = ["rewards.unitree.heading_command_error_abs={weight=1.0, command_name=\"position\"}"];
     refused(flat(), &there, &["`position`", "[commands.position]"]);
     let lines = "[[observations.critic]]\nterm = \"clock_inputs\"";
     refused(common::extended_task("clockless", "velocity_flat", lines), &[], &["clock_inputs", "`gait`"]);
@@ -224,8 +225,9 @@ fn a_task_refuses_terms_of_commands_that_it_lacks() {
 
 #[test]
 fn a_task_without_a_velocity_command_says_so() {
-    let mut sim = Sim::new(&SimOptions::new("getup_flat", 8)).unwrap();
-    let error = sim.set_commands(Some(&[0.0; 24])).unwrap_err();
+    let robots = Some(vec!["unitree_go1".into()]);
+    let mut sim = Sim::new(&SimOptions { robots, ..SimOptions::new("getup_flat", 2) }).unwrap();
+    let error = sim.set_commands(Some(&[0.0; 6])).unwrap_err();
     assert!(matches!(error, Error::Argument { .. }), "{error}");
     let error = error.to_string();
     ["Getup-Flat-v0", "none", "base_velocity"].iter().for_each(|said| assert!(error.contains(said), "{error}"));

@@ -107,7 +107,7 @@ fn ranges_of_commands_change_at_their_step_and_widen_with_success() {
     assert!(now.iter().all(|progress| (progress.tracking - (1.0 - 0.8_f32.powi(6))).abs() < 1e-3), "{now:?}");
     assert!(widest[0][0] < -1.4 && widest[0][1] > 1.2 && widest[1][1] > 1.4, "{widest:?}");
     let curves = curves(&mut sim);
-    // of the episodes that ended, each with the widening that it had
+    // the mean over ended episodes, each with the widening that it had
     let mean = (0.25 + 0.5 + 0.75 + 1.0) / 6.0;
     assert!((curves["Curriculum/unitree_go1/lin_vel_x_max"] - (1.0 + mean)).abs() < 1e-5, "{curves:?}");
     assert!((curves["Curriculum/unitree_go1/lin_vel_x_min"] + (1.0 + mean)).abs() < 1e-5, "{curves:?}");
