@@ -23,8 +23,9 @@ endif
 unexport CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR CONDA_PREFIX
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-LIBRARY_SOURCES := Cargo.toml Cargo.lock $(shell find src systems configs assets/robots workspace-hack -type f 2>/dev/null)
-PROGRAM_SOURCES := $(LIBRARY_SOURCES) $(shell find polypod-sim -type f 2>/dev/null)
+CRATES := $(addprefix crates/,dynamics lanes learner python)
+LIBRARY_SOURCES := Cargo.toml Cargo.lock $(shell find src systems $(CRATES) configs assets/robots workspace-hack -type f 2>/dev/null)
+PROGRAM_SOURCES := $(LIBRARY_SOURCES) $(shell find crates/sim -type f 2>/dev/null)
 
 # `make demo WHEEL=dist/....whl` runs from an installed wheel, in a new environment outside the checkout.
 WHEEL ?=
@@ -87,7 +88,7 @@ test: $(ONLY:%=.test-%) ## Run the tests of Rust and of Python (TIER=extended: a
 .test-rust:
 ifneq ($(NEXTEST),)
 	cargo nextest run --release --locked --workspace --exclude polypod-python
-	cargo test --release --locked --doc
+	cargo test --release --locked --doc --package polypod --package polypod-lanes
 else
 	cargo test --release --locked --workspace --exclude polypod-python
 endif

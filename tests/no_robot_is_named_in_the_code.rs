@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 fn src_and_systems_name_no_robot() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut files = Vec::new();
-    for folder in ["src", "systems", "polypod-sim"] {
+    for folder in ["src", "systems", "crates"] {
         rust_files(&root.join(folder), &mut files);
     }
     assert!(files.len() > 30, "only {} files found", files.len());

@@ -29,7 +29,7 @@ NUMBER = rf"(\d+|{'|'.join(WORDS)})"
 
 def read_pages() -> dict[str, str]:
     listed = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
-    listed += [*ROOT.glob("docs/**/*.md"), *ROOT.glob("src/**/*.md"), *ROOT.glob("systems/**/*.md")]
+    listed += [path for folder in ("crates", "docs", "src", "systems") for path in ROOT.glob(f"{folder}/**/*.md")]
     return {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in sorted(listed)}
 
 
@@ -382,10 +382,10 @@ FOLDERS = (
     "assets",
     "benches",
     "configs",
+    "crates",
     "docs",
     "examples",
     "fuzz",
-    "polypod-sim",
     "python",
     "src",
     "systems",
@@ -478,7 +478,7 @@ def help_of(*command: str) -> str:
 @cache
 def simulator_flags() -> set[str]:
     flags = {"--help"}
-    for source in (ROOT / "polypod-sim" / "src" / "cli").glob("*.rs"):
+    for source in (ROOT / "crates" / "sim" / "src" / "cli").glob("*.rs"):
         for attribute, field in re.findall(
             r"#\[arg\((.*?)\)\]\s+(?:pub )?(\w+):", source.read_text(encoding="utf-8"), re.DOTALL
         ):

@@ -39,7 +39,9 @@ LANGUAGES = ("bash", "json", "python", "rust", "toml")
 FENCE = re.compile(r" *```")
 
 SIMULATOR = ROOT / "target" / "release" / "polypod-sim"
-FOLDERS = tuple(f"{folder}/" for folder in ("assets", "benches", "configs", "docs", "examples", "src", "tests"))
+FOLDERS = tuple(
+    f"{folder}/" for folder in ("assets", "benches", "configs", "crates", "docs", "examples", "src", "tests")
+)
 """Folders of the repository: what a command names in them exists."""
 
 TASK_TABLES = {"commands", "curriculum", "events", "observations", "physics", "rewards", "scene", "sensors", "sim"}
@@ -285,7 +287,7 @@ def check_simulator(arguments: list[str]) -> None:
         done = subprocess.run([SIMULATOR, *arguments, "--help"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return
-    sources = ROOT / "polypod-sim" / "src" / "cli"
+    sources = ROOT / "crates" / "sim" / "src" / "cli"
     if arguments == ["list"]:
         return
     text = (sources / f"{arguments[0]}.rs").read_text(encoding="utf-8")

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use polypod_dynamics::lanes::{Kernel, SimdDispatch};
+use polypod_lanes::{Kernel, SimdDispatch};
 
 use crate::adam::{Rates, Step};
 use crate::bodies::Bodies;

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-use polypod_dynamics::lanes::{Kernel, Lanes, Portable, Real};
+use polypod_lanes::{Kernel, Lanes, Portable, Real};
 
 /// Numbers in a line.
 pub(crate) const WIDTH: usize = 16;
@@ -154,4 +154,4 @@ macro_rules! pairs {
 }
 pairs!(Portable);
 #[cfg(target_arch = "aarch64")]
-pairs!(polypod_dynamics::lanes::Neon);
+pairs!(polypod_lanes::Neon);

@@ -1,7 +1,7 @@
 //! Activation functions and their derivatives.
 
-use polypod_dynamics::elementary::{exp, tanh_positive};
-use polypod_dynamics::lanes::Real;
+use polypod_lanes::Real;
+use polypod_lanes::elementary::{exp, tanh_positive};
 use serde::{Deserialize, Serialize};
 
 /// Function after a hidden layer.

@@ -1,7 +1,6 @@
-//! SIMD lanes: the one place that knows instruction sets, and the only one of the crate with
-//! `unsafe` code.
+//! SIMD lanes and elementary functions: the one place that knows instruction sets.
 //!
-//! The kernels of [`dynamics`](super) are written once, over the [`Real`] trait. A value of a
+//! Kernels of physics and of learning are written once, over the [`Real`] trait. A value of a
 //! `Real` type holds [`Real::LANES`] independent numbers, one per robot of a pack; no operation
 //! mixes lanes, and each operation is one correctly rounded IEEE 754 operation per lane. A lane's
 //! bits therefore depend neither on its position, nor on its neighbours, nor on the instruction
@@ -11,13 +10,15 @@
 //! function compiled for the instruction set, so that everything is inlined into code that may use
 //! it.
 
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
 mod dispatch;
+pub mod elementary;
 mod native;
 mod portable;
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
-
-use super::elementary;
 
 pub use dispatch::{Simd, SimdDispatch, SimdError, prefetch};
 #[cfg(target_arch = "aarch64")]
@@ -43,7 +44,7 @@ pub trait Real:
     type Mask: Copy + Send + Sync + std::fmt::Debug;
     /// Number of independent numbers in a value.
     const LANES: usize;
-    /// Whether a step of [uniform](super::Parameters::is_alike) bodies reads their common numbers
+    /// Whether a step of uniform bodies reads their common numbers
     /// from one copy. Where that is no faster, it is not compiled.
     const READS_ALIKE: bool = false;
     /// The same number in every lane.

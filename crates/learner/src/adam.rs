@@ -1,6 +1,6 @@
 //! The optimiser Adam with torch's defaults, over lines.
 
-use polypod_dynamics::lanes::Kernel;
+use polypod_lanes::Kernel;
 
 use crate::lines::{Line, WIDTH};
 

@@ -11,7 +11,7 @@
 
 use std::ops::Range;
 
-use polypod_dynamics::lanes::{Kernel, Lanes, Portable, Real, Simd};
+use polypod_lanes::{Kernel, Lanes, Portable, Real, Simd};
 
 use crate::activation::Activation;
 use crate::lines::{Line, Pair, WIDTH};
@@ -81,11 +81,11 @@ impl Matrix {
     pub(crate) fn new(simd: Simd) -> Self {
         match simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Self::of::<polypod_dynamics::lanes::Avx512>(simd),
+            Simd::Avx512 => Self::of::<polypod_lanes::Avx512>(simd),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Self::of::<polypod_dynamics::lanes::Avx2>(simd),
+            Simd::Avx2 => Self::of::<polypod_lanes::Avx2>(simd),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Self::of::<Pair<polypod_dynamics::lanes::Neon>>(simd),
+            Simd::Neon => Self::of::<Pair<polypod_lanes::Neon>>(simd),
             _ => Self::of::<Pair<Portable>>(simd),
         }
     }
@@ -99,11 +99,11 @@ impl Matrix {
         let kernel = OnLanes(kernel);
         match self.simd {
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => polypod_dynamics::lanes::Avx512::vectorize(kernel),
+            Simd::Avx512 => polypod_lanes::Avx512::vectorize(kernel),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => polypod_dynamics::lanes::Avx2::vectorize(kernel),
+            Simd::Avx2 => polypod_lanes::Avx2::vectorize(kernel),
             #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Pair::<polypod_dynamics::lanes::Neon>::vectorize(kernel),
+            Simd::Neon => Pair::<polypod_lanes::Neon>::vectorize(kernel),
             _ => Pair::<Portable>::vectorize(kernel),
         }
     }
@@ -133,15 +133,15 @@ trait Blocking: Lanes {
 }
 
 #[cfg(target_arch = "x86_64")]
-impl Blocking for polypod_dynamics::lanes::Avx512 {
+impl Blocking for polypod_lanes::Avx512 {
     const MANY_REGISTERS: bool = true;
 }
 #[cfg(target_arch = "x86_64")]
-impl Blocking for polypod_dynamics::lanes::Avx2 {
+impl Blocking for polypod_lanes::Avx2 {
     const MANY_REGISTERS: bool = false;
 }
 #[cfg(target_arch = "aarch64")]
-impl Blocking for Pair<polypod_dynamics::lanes::Neon> {
+impl Blocking for Pair<polypod_lanes::Neon> {
     const MANY_REGISTERS: bool = false;
 }
 impl Blocking for Pair<Portable> {

@@ -4,8 +4,8 @@
 //! A tile has rows of samples, and rows of the joints of its bodies. A sample reads its body's
 //! rows, which all samples of that body share.
 
-use polypod_dynamics::elementary::exp;
-use polypod_dynamics::lanes::Real;
+use polypod_lanes::Real;
+use polypod_lanes::elementary::exp;
 
 use crate::activation::Activation;
 use crate::lines::{Line, WIDTH};

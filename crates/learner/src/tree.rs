@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use polypod_dynamics::lanes::Kernel;
+use polypod_lanes::Kernel;
 
 use crate::lines::{Line, WIDTH};
 use crate::moments::Moments;

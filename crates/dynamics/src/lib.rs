@@ -1,4 +1,4 @@
-#![doc = include_str!("README.md")]
+#![doc = include_str!("../README.md")]
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 #![cfg_attr(
@@ -14,7 +14,6 @@ mod actuators;
 mod algorithms;
 mod articulation;
 mod blocks;
-pub mod elementary;
 mod factor;
 mod gaps;
 mod ground;
@@ -22,7 +21,6 @@ mod ground_contacts;
 mod joint_bounds;
 mod kernels;
 mod kinematics;
-pub mod lanes;
 pub mod math;
 mod networks;
 mod parameters;
@@ -52,6 +50,7 @@ pub use networks::{
     ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,
 };
 pub use parameters::Parameters;
+pub use polypod_lanes::{self as lanes, elementary};
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
 pub use state::{Drive, LinkForce, LinkState, Report, State, Workspace};

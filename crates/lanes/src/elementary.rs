@@ -4,7 +4,7 @@
 //! All are of single precision. [`Real::sin_cos`] calls [`sin_cos`] for lanes and `f32`, and the
 //! standard library's for `f64`.
 
-use super::lanes::Real;
+use super::Real;
 
 /// Sine and cosine by range reduction to `[-pi/4, pi/4]` and minimax polynomials (the
 /// single-precision coefficients of the Cephes library); absolute error below 1.2e-7 for |x| < 1e4.

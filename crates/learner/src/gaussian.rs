@@ -1,7 +1,7 @@
 //! The policy's distribution: independent normal numbers with learnt deviations that do not depend
 //! on the observation.
 
-use polypod_dynamics::elementary::exp;
+use polypod_lanes::elementary::exp;
 
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::settings::Settings;

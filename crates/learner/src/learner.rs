@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::ops::Range;
 
-use polypod_dynamics::lanes::{Simd, SimdDispatch};
+use polypod_lanes::{Simd, SimdDispatch};
 
 use crate::bodies::Bodies;
 use crate::gaussian::{Distributions, RANGE};
