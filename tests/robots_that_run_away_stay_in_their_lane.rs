@@ -5,7 +5,8 @@
 use polypod::config::Library;
 use polypod::dynamics::lanes::Simd;
 use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Kernels, Parameters, Report, State, StepSettings, Topology, Workspace, lanes,
+    ContactSettings, ControlStep, Drive, Kernels, Parameters, Report, State, StepSettings, Topology, WithKernels,
+    Workspace, with_kernels,
 };
 use polypod::morphology::MorphologyModel;
 
@@ -165,19 +166,21 @@ fn step_packed_and_alone<L: Kernels>(body: &Body, name: &str) -> usize {
     broken
 }
 
+struct PackedAndAlone<'a>(&'a Body, &'a str);
+
+impl WithKernels for PackedAndAlone<'_> {
+    type Output = usize;
+
+    fn run<L: Kernels>(self) -> usize {
+        step_packed_and_alone::<L>(self.0, self.1)
+    }
+}
+
 #[test]
 fn neighbours_change_nothing_at_any_speed() {
     let body = spot();
     for simd in Simd::available() {
-        let broken = match simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => step_packed_and_alone::<lanes::Avx512>(&body, simd.name()),
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => step_packed_and_alone::<lanes::Avx2>(&body, simd.name()),
-            #[cfg(target_arch = "aarch64")]
-            Simd::Neon => step_packed_and_alone::<lanes::Neon>(&body, simd.name()),
-            _ => step_packed_and_alone::<lanes::Portable>(&body, simd.name()),
-        };
+        let broken = with_kernels(simd.token().unwrap(), PackedAndAlone(&body, simd.name()));
         assert!(broken > 50, "only {broken} robots of {} ran away to the end", simd.name());
     }
 }

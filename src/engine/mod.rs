@@ -12,8 +12,10 @@ use std::sync::Arc;
 use glam::DMat3;
 
 use crate::blocks::BlockList;
-use crate::dynamics::lanes::{self, Simd};
-use crate::dynamics::{ActuatorNetwork, HeightGrid, Parameters, State, StepSettings, Topology};
+use crate::dynamics::lanes::{Simd, SimdToken};
+use crate::dynamics::{
+    ActuatorNetwork, HeightGrid, Kernels, Parameters, State, StepSettings, Topology, WithKernels, with_kernels,
+};
 use crate::morphology::MorphologyModel;
 use crate::obstacles::Part;
 use crate::robot::{BodyGroup, Model};
@@ -220,18 +222,28 @@ pub(crate) fn make<F: RowFamily>(
         EngineChoice::ArticulatedDouble => {
             Box::new(Packs::<f64, F::Number>::new(settings, None, kinds, resident, threads))
         }
-        EngineChoice::Articulated(simd, terrain) => match simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => {
-                Box::new(Packs::<lanes::Avx512, F::Number>::new(settings, terrain, kinds, resident, threads))
-            }
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Box::new(Packs::<lanes::Avx2, F::Number>::new(settings, terrain, kinds, resident, threads)),
-            #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Box::new(Packs::<lanes::Neon, F::Number>::new(settings, terrain, kinds, resident, threads)),
-            _ => Box::new(Packs::<lanes::Portable, F::Number>::new(settings, terrain, kinds, resident, threads)),
-        },
+        EngineChoice::Articulated(simd, terrain) => {
+            // `Simd::choose` refuses one that the machine lacks
+            let simd = simd.token().unwrap_or(SimdToken::Portable);
+            with_kernels(simd, MakePacks::<F> { settings, terrain, kinds, threads })
+        }
     })
+}
+
+/// Makes [`Packs`] of an instruction set.
+struct MakePacks<'a, F: RowFamily> {
+    settings: StepSettings,
+    terrain: Option<Arc<HeightGrid>>,
+    kinds: &'a [Kind<'a, F::Number>],
+    threads: usize,
+}
+
+impl<F: RowFamily> WithKernels for MakePacks<'_, F> {
+    type Output = Box<dyn RowEngine<F>>;
+
+    fn run<L: Kernels>(self) -> Self::Output {
+        Box::new(Packs::<L, F::Number>::new(self.settings, self.terrain, self.kinds, F::RESIDENT, self.threads))
+    }
 }
 
 /// Number of control steps whose targets an actuator can still see.

@@ -6,7 +6,7 @@ use super::algorithms::Dynamics;
 use super::articulation::Topology;
 use super::ground;
 use super::kinematics;
-use super::lanes::{self, Lanes, Real};
+use super::lanes::{self, Lanes, Proof, Real, SimdToken};
 use super::math::{Mat3, Spatial, Vec3};
 use super::networks::NetworkStep;
 use super::parameters::Parameters;
@@ -24,6 +24,36 @@ pub trait Kernels: Lanes {
     /// Actuator networks at the beginning of a physics step; [`NetworkStep::run`] calls it.
     fn network_step(step: NetworkStep<Self>);
 }
+
+/// A computation that is written for any lane type that robots are stepped in.
+pub trait WithKernels {
+    /// Result of the computation.
+    type Output;
+    /// The computation.
+    fn run<L: Kernels>(self) -> Self::Output;
+}
+
+/// Calls a computation with the lanes of an instruction set.
+#[cfg(not(test))]
+pub fn with_kernels<C: WithKernels>(simd: SimdToken, computation: C) -> C::Output {
+    match simd {
+        #[cfg(target_arch = "x86_64")]
+        SimdToken::Avx512(_) => computation.run::<lanes::Avx512<Found>>(),
+        #[cfg(target_arch = "x86_64")]
+        SimdToken::Avx2(_) => computation.run::<lanes::Avx2<Found>>(),
+        #[cfg(target_arch = "aarch64")]
+        SimdToken::Neon => computation.run::<lanes::Neon<Found>>(),
+        SimdToken::Portable => computation.run::<lanes::Portable>(),
+    }
+}
+
+/// Proof behind [`with_kernels`].
+#[derive(Clone, Copy, Debug)]
+struct Found;
+
+// SAFETY: the type is private, and `with_kernels` asks for the token
+#[allow(unsafe_code)]
+unsafe impl Proof for Found {}
 
 /// Compiles the control step and actuator networks for types of numbers.
 macro_rules! control_step_kernels {
@@ -66,11 +96,11 @@ macro_rules! scalar_kernels {
 
 control_step_kernels!(
     #[cfg(target_arch = "x86_64")]
-    lanes::Avx512,
+    lanes::Avx512<Found>,
     #[cfg(target_arch = "x86_64")]
-    lanes::Avx2,
+    lanes::Avx2<Found>,
     #[cfg(target_arch = "aarch64")]
-    lanes::Neon,
+    lanes::Neon<Found>,
     lanes::Portable,
     f32,
     f64

@@ -4,6 +4,9 @@
 
 use super::Kernel;
 use super::portable::PORTABLE_LANES;
+use super::token::SimdToken;
+#[cfg(target_arch = "x86_64")]
+use super::token::{Avx2Token, Avx512Token};
 
 /// An instruction set that packs can run on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,7 +27,8 @@ pub enum Simd {
 #[derive(Clone, Copy, Debug)]
 pub struct SimdDispatch {
     /// AVX2 with FMA, which the machine has; else what all machines of the architecture have.
-    avx2: bool,
+    #[cfg(target_arch = "x86_64")]
+    avx2: Option<Avx2Token>,
 }
 
 impl SimdDispatch {
@@ -32,12 +36,12 @@ impl SimdDispatch {
     #[inline]
     pub fn vectorize<K: Kernel<f32>>(self, kernel: K) -> K::Output {
         #[cfg(target_arch = "x86_64")]
-        if self.avx2 {
+        if self.avx2.is_some() {
             #[target_feature(enable = "avx2,fma")]
             fn compiled<K: Kernel<f32>>(kernel: K) -> K::Output {
                 kernel.run()
             }
-            // SAFETY: `Simd::dispatch` has found that the machine has what it is compiled for
+            // SAFETY: the token says that the machine has what it is compiled for
             return unsafe { compiled(kernel) };
         }
         kernel.run()
@@ -70,32 +74,30 @@ impl Simd {
     /// Dispatch to code on single numbers that is compiled for this instruction set, as far as this
     /// machine supports the set.
     pub fn dispatch(self) -> SimdDispatch {
-        #[cfg(target_arch = "x86_64")]
-        let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-        #[cfg(not(target_arch = "x86_64"))]
-        let avx2 = false;
-        SimdDispatch { avx2: avx2 && matches!(self, Simd::Avx512 | Simd::Avx2) }
+        SimdDispatch {
+            #[cfg(target_arch = "x86_64")]
+            avx2: matches!(self, Simd::Avx512 | Simd::Avx2).then(Avx2Token::detect).flatten(),
+        }
+    }
+
+    /// Proof that this machine has the instruction set; `None` if it lacks it.
+    pub fn token(self) -> Option<SimdToken> {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => Avx512Token::detect().map(SimdToken::Avx512),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => Avx2Token::detect().map(SimdToken::Avx2),
+            #[cfg(target_arch = "aarch64")]
+            Simd::Neon => Some(SimdToken::Neon),
+            Simd::Portable => Some(SimdToken::Portable),
+            _ => None,
+        }
     }
 
     /// Instruction sets of this machine, fastest first.
     pub fn available() -> Vec<Simd> {
-        let mut found = Vec::new();
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx512f")
-                && is_x86_feature_detected!("avx512dq")
-                && is_x86_feature_detected!("avx512vl")
-            {
-                found.push(Simd::Avx512);
-            }
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                found.push(Simd::Avx2);
-            }
-        }
-        #[cfg(target_arch = "aarch64")]
-        found.push(Simd::Neon);
-        found.push(Simd::Portable);
-        found
+        let all = [Simd::Avx512, Simd::Avx2, Simd::Neon, Simd::Portable];
+        all.into_iter().filter(|simd| simd.token().is_some()).collect()
     }
 
     /// The lower-case name, as `POLYPOD_SIMD` takes it.

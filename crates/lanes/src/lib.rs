@@ -16,7 +16,9 @@
 mod dispatch;
 pub mod elementary;
 mod native;
+mod pair;
 mod portable;
+mod token;
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -25,7 +27,11 @@ pub use dispatch::{Simd, SimdDispatch, SimdError, prefetch};
 pub use native::Neon;
 #[cfg(target_arch = "x86_64")]
 pub use native::{Avx2, Avx512};
+pub use pair::Pair;
 pub use portable::Portable;
+#[cfg(target_arch = "x86_64")]
+pub use token::{Avx2Token, Avx512Token};
+pub use token::{Proof, SimdToken, WithLanes};
 
 /// A scalar or a vector of independent numbers on which the kernels compute.
 pub trait Real:
@@ -231,6 +237,9 @@ pub trait Kernel<S: Real> {
 /// A lane type that packs of robots are stored in, with the way into code compiled for its
 /// instruction set.
 pub trait Lanes: Real {
+    /// Number of values that the machine's vector registers hold.
+    const REGISTERS: usize;
+
     /// Runs a kernel, compiled for this lane type's instruction set.
     fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output;
 }
@@ -239,13 +248,16 @@ pub trait Lanes: Real {
 macro_rules! run_as_it_is {
     ($($t:ty),*) => {
         $(impl Lanes for $t {
+            // in sixteen registers of four numbers
+            const REGISTERS: usize = 64 / Self::LANES;
+
             fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
                 kernel.run()
             }
         })*
     };
 }
-run_as_it_is!(Portable, f32, f64);
+run_as_it_is!(Portable, Pair<Portable>, f32, f64);
 
 #[cfg(test)]
 mod tests {
@@ -265,21 +277,25 @@ mod tests {
         }
     }
 
-    fn run_on<L: Lanes>(inputs: &[[f32; 3]]) -> Vec<[u32; 3]> {
-        let mut out = Vec::new();
-        for chunk in inputs.chunks(L::LANES) {
-            let mut d = [L::zero(); 6];
-            for (lane, x) in chunk.iter().enumerate() {
-                for k in 0..3 {
-                    d[k].set_lane(lane, f64::from(x[k]));
+    struct OnInputs<'a>(&'a [[f32; 3]]);
+    impl WithLanes for OnInputs<'_> {
+        type Output = Vec<[u32; 3]>;
+        fn run<L: Lanes>(self) -> Self::Output {
+            let mut out = Vec::new();
+            for chunk in self.0.chunks(L::LANES) {
+                let mut d = [L::zero(); 6];
+                for (lane, x) in chunk.iter().enumerate() {
+                    for k in 0..3 {
+                        d[k].set_lane(lane, f64::from(x[k]));
+                    }
+                }
+                L::vectorize(Everything(&mut d));
+                for lane in 0..chunk.len() {
+                    out.push([3, 4, 5].map(|k: usize| (d[k].lane(lane) as f32).to_bits()));
                 }
             }
-            L::vectorize(Everything(&mut d));
-            for lane in 0..chunk.len() {
-                out.push([3, 4, 5].map(|k: usize| (d[k].lane(lane) as f32).to_bits()));
-            }
+            out
         }
-        out
     }
 
     #[test]
@@ -298,7 +314,7 @@ mod tests {
                 [d[3].to_bits(), d[4].to_bits(), d[5].to_bits()]
             })
             .collect();
-        assert_eq!(scalar, run_on::<Portable>(&inputs));
+        assert_eq!(scalar, OnInputs(&inputs).run::<Portable>());
         for simd in Simd::available() {
             let entered: Vec<[u32; 3]> = inputs
                 .iter()
@@ -310,13 +326,9 @@ mod tests {
                 .collect();
             assert_eq!(scalar, entered, "{simd:?}");
         }
-        #[cfg(target_arch = "x86_64")]
         for simd in Simd::available() {
-            match simd {
-                Simd::Avx2 => assert_eq!(scalar, run_on::<Avx2>(&inputs)),
-                Simd::Avx512 => assert_eq!(scalar, run_on::<Avx512>(&inputs)),
-                _ => {}
-            }
+            let token = simd.token().expect("it is available");
+            assert_eq!(scalar, token.with_sixteen_lanes(OnInputs(&inputs)), "{simd:?}");
         }
     }
 }

@@ -2,10 +2,12 @@
 
 #![allow(unsafe_code)]
 
+use std::marker::PhantomData;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Kernel, Lanes, Real};
 use crate::elementary;
+use crate::token::Proof;
 
 /// Where the exponent of a single-precision number stands in its bits, and what is added to it
 /// there.
@@ -16,36 +18,38 @@ const EXPONENT_BIAS: i32 = 127;
 /// Defines a lane type over some native vector registers, from the intrinsics of one. Several
 /// registers hide the latency of an operation behind its neighbour's.
 macro_rules! native_lanes {
-    ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal, $features:literal, {
+    ($(#[$doc:meta])* $name:ident, $reg:ty, $registers:literal x $width:literal of $all:literal, $features:literal, {
         add: $add:path, sub: $sub:path, mul: $mul:path, div: $div:path, fma: $fma:expr, fnma: $fnma:expr,
         sqrt: $sqrt:path, round: $round:expr, splat: $splat:path, lt: $lt:expr, select: $select:expr, any: $any:expr,
         or: $or:expr, and: $and:expr, abs: $abs:expr, neg: $neg:expr, min: $min:expr, max: $max:expr, power_of_two: $power_of_two:expr,
         mask: $mask:ty
     }) => {
         $(#[$doc])*
+        ///
+        /// `P` vouches that the machine has the instructions; see [`Proof`].
         #[derive(Clone, Copy, Debug)]
         #[repr(transparent)]
-        pub struct $name([$reg; $registers]);
+        pub struct $name<P: Proof>([$reg; $registers], PhantomData<P>);
 
         native_lanes!(@operator $name, $registers, Add, add, $add);
         native_lanes!(@operator $name, $registers, Sub, sub, $sub);
         native_lanes!(@operator $name, $registers, Mul, mul, $mul);
         native_lanes!(@operator $name, $registers, Div, div, $div);
-        impl Neg for $name {
+        impl<P: Proof> Neg for $name<P> {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
                 native_lanes!(@each $registers, $neg, self)
             }
         }
-        impl Real for $name {
+        impl<P: Proof> Real for $name<P> {
             type Mask = [$mask; $registers];
             const LANES: usize = $registers * $width;
             const READS_ALIKE: bool = true;
             #[inline(always)]
             fn splat(x: f64) -> Self {
                 // SAFETY: as in `each`
-                Self([unsafe { $splat(x as f32) }; $registers])
+                Self([unsafe { $splat(x as f32) }; $registers], PhantomData)
             }
             #[inline(always)]
             fn mul_add(self, b: Self, c: Self) -> Self {
@@ -141,7 +145,7 @@ macro_rules! native_lanes {
             #[inline(always)]
             fn broadcast(x: f32) -> Self {
                 // SAFETY: as in `each`
-                Self([unsafe { $splat(x) }; $registers])
+                Self([unsafe { $splat(x) }; $registers], PhantomData)
             }
             #[inline(always)]
             fn load(from: &[f32]) -> Self {
@@ -166,14 +170,15 @@ macro_rules! native_lanes {
                 elementary::sin_cos(self)
             }
         }
-        impl Lanes for $name {
+        impl<P: Proof> Lanes for $name<P> {
+            const REGISTERS: usize = $all / $registers;
+
             fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
                 #[target_feature(enable = $features)]
-                fn compiled<K: Kernel<$name>>(kernel: K) -> K::Output {
+                fn compiled<P: Proof, K: Kernel<$name<P>>>(kernel: K) -> K::Output {
                     kernel.run()
                 }
-                // SAFETY: packs of this type are only built after `Simd` has found the instruction
-                // set
+                // SAFETY: as in `each`
                 unsafe { compiled(kernel) }
             }
         }
@@ -182,15 +187,14 @@ macro_rules! native_lanes {
     (@each $registers:literal, $f:expr, $first:expr $(, $other:expr)*) => {{
         let (mut out, mut i) = ($first, 0);
         while i < $registers {
-            // SAFETY: reached only through `vectorize`, whose caller has checked the instruction
-            // set
+            // SAFETY: the type has a `Proof` that the machine has the instruction set
             out.0[i] = unsafe { $f($first.0[i] $(, $other.0[i])*) };
             i += 1;
         }
         out
     }};
     (@operator $name:ident, $registers:literal, $trait:ident, $f:ident, $intrinsic:path) => {
-        impl $trait for $name {
+        impl<P: Proof> $trait for $name<P> {
             type Output = Self;
             #[inline(always)]
             fn $f(self, other: Self) -> Self {
@@ -202,12 +206,14 @@ macro_rules! native_lanes {
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::{Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, Real, Sub, elementary};
+    use super::{
+        Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, PhantomData, Proof, Real, Sub, elementary,
+    };
     use std::arch::x86_64::*;
 
     native_lanes!(
         /// Sixteen lanes in two AVX registers.
-        Avx2, __m256, 2 x 8, "avx2,fma", {
+        Avx2, __m256, 2 x 8 of 16, "avx2,fma", {
             add: _mm256_add_ps, sub: _mm256_sub_ps, mul: _mm256_mul_ps, div: _mm256_div_ps,
             fma: _mm256_fmadd_ps, fnma: _mm256_fnmadd_ps, sqrt: _mm256_sqrt_ps,
             round: _mm256_round_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
@@ -224,7 +230,7 @@ mod x86 {
     );
     native_lanes!(
         /// Sixteen lanes in an AVX-512 register.
-        Avx512, __m512, 1 x 16, "avx512f,avx512dq,avx512vl,avx2,fma", {
+        Avx512, __m512, 1 x 16 of 32, "avx512f,avx512dq,avx512vl,avx2,fma", {
             add: _mm512_add_ps, sub: _mm512_sub_ps, mul: _mm512_mul_ps, div: _mm512_div_ps,
             fma: _mm512_fmadd_ps, fnma: _mm512_fnmadd_ps, sqrt: _mm512_sqrt_ps,
             round: _mm512_roundscale_ps::<{ _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC }>,
@@ -244,12 +250,14 @@ pub use x86::{Avx2, Avx512};
 
 #[cfg(target_arch = "aarch64")]
 mod arm {
-    use super::{Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, Real, Sub, elementary};
+    use super::{
+        Add, Div, EXPONENT_BIAS, EXPONENT_SHIFT, Kernel, Lanes, Mul, Neg, PhantomData, Proof, Real, Sub, elementary,
+    };
     use std::arch::aarch64::*;
 
     native_lanes!(
         /// Eight lanes in two NEON registers.
-        Neon, float32x4_t, 2 x 4, "neon", {
+        Neon, float32x4_t, 2 x 4 of 32, "neon", {
             add: vaddq_f32, sub: vsubq_f32, mul: vmulq_f32, div: vdivq_f32,
             fma: |a, b, c| vfmaq_f32(c, a, b), fnma: |a, b, c| vfmsq_f32(c, a, b), sqrt: vsqrtq_f32,
             round: vrndnq_f32, splat: vdupq_n_f32, lt: vcltq_f32,

@@ -85,7 +85,7 @@ impl Learner {
     /// A learner whose networks' numbers are all zero, with all envs.
     ///
     /// # Errors
-    /// Settings that contradict each other.
+    /// Settings that contradict each other, or an instruction set that the machine lacks.
     pub fn new(settings: Settings, simd: Simd) -> Result<Self, LearnerError> {
         Self::with_peers(settings, simd, Worker::ALONE, Box::new(Alone))
     }
@@ -95,7 +95,8 @@ impl Learner {
     /// rows for its own envs alone.
     ///
     /// # Errors
-    /// Settings that contradict each other, or more workers than blocks of envs.
+    /// Settings that contradict each other, an instruction set that the machine lacks, or more
+    /// workers than blocks of envs.
     pub fn with_peers(
         settings: Settings,
         simd: Simd,
@@ -103,6 +104,10 @@ impl Learner {
         peers: Box<dyn Peers>,
     ) -> Result<Self, LearnerError> {
         settings.check()?;
+        let Some(token) = simd.token() else {
+            let problem = format!("this machine has no {}; use one of `Simd::available()`", simd.name());
+            return Err(LearnerError::new("simd", problem));
+        };
         let own = worker.envs(settings.num_envs)?;
         let all: Vec<_> = parts_of(settings.num_envs).collect();
         let shares = Shares::new(worker, all.len());
@@ -114,7 +119,7 @@ impl Learner {
             action: robot.action_mirror.clone(),
         };
         Ok(Self {
-            matrix: Matrix::new(simd),
+            matrix: Matrix::new(token),
             dispatch: simd.dispatch(),
             mirrors: settings.robots.iter().map(of).collect(),
             old: Distributions::new(actor.deviations(), &settings),

@@ -11,10 +11,10 @@
 
 use std::ops::Range;
 
-use polypod_lanes::{Kernel, Lanes, Portable, Real, Simd};
+use polypod_lanes::{Kernel, Lanes, Real, SimdToken, WithLanes};
 
 use crate::activation::Activation;
-use crate::lines::{Line, Pair, WIDTH};
+use crate::lines::{Line, WIDTH};
 
 /// Numbers of rows and inner dimensions are multiples of this.
 pub(crate) const BLOCK: usize = 8;
@@ -72,39 +72,32 @@ pub(crate) struct WeightGradient<'a> {
 /// The products, compiled for an instruction set.
 #[derive(Clone, Copy)]
 pub(crate) struct Matrix {
-    simd: Simd,
+    simd: SimdToken,
     pub(crate) product: fn(Product),
     pub(crate) weight_gradient: fn(WeightGradient),
 }
 
 impl Matrix {
-    pub(crate) fn new(simd: Simd) -> Self {
-        match simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Self::of::<polypod_lanes::Avx512>(simd),
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => Self::of::<polypod_lanes::Avx2>(simd),
-            #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Self::of::<Pair<polypod_lanes::Neon>>(simd),
-            _ => Self::of::<Pair<Portable>>(simd),
-        }
-    }
-
-    fn of<L: Blocking>(simd: Simd) -> Self {
-        Self { simd, product: |product| L::vectorize(product), weight_gradient: |gradient| L::vectorize(gradient) }
+    pub(crate) fn new(simd: SimdToken) -> Self {
+        simd.with_sixteen_lanes(Products(simd))
     }
 
     /// Runs another computation over lines, compiled for the same instruction set.
     pub(crate) fn run(self, kernel: impl LineKernel) {
-        let kernel = OnLanes(kernel);
-        match self.simd {
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => polypod_lanes::Avx512::vectorize(kernel),
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => polypod_lanes::Avx2::vectorize(kernel),
-            #[cfg(target_arch = "aarch64")]
-            Simd::Neon => Pair::<polypod_lanes::Neon>::vectorize(kernel),
-            _ => Pair::<Portable>::vectorize(kernel),
+        self.simd.with_sixteen_lanes(OnLanes(kernel));
+    }
+}
+
+/// [`Matrix::new`] for a lane type.
+struct Products(SimdToken);
+
+impl WithLanes for Products {
+    type Output = Matrix;
+    fn run<L: Lanes>(self) -> Matrix {
+        Matrix {
+            simd: self.0,
+            product: |product| L::vectorize(product),
+            weight_gradient: |gradient| L::vectorize(gradient),
         }
     }
 }
@@ -117,6 +110,13 @@ pub(crate) trait LineKernel {
 
 struct OnLanes<K>(K);
 
+impl<K: LineKernel> WithLanes for OnLanes<K> {
+    type Output = ();
+    fn run<L: Lanes>(self) {
+        L::vectorize(self);
+    }
+}
+
 impl<L: Real, K: LineKernel> Kernel<L> for OnLanes<K> {
     type Output = ();
     #[inline(always)]
@@ -125,28 +125,14 @@ impl<L: Real, K: LineKernel> Kernel<L> for OnLanes<K> {
     }
 }
 
-/// Sixteen lanes, and the number of registers for them.
+/// Size of the blocks that stay in registers.
 trait Blocking: Lanes {
     /// Whether [`BLOCK`] rows times two panels fit into the registers; else half as many rows times
     /// one panel.
-    const MANY_REGISTERS: bool;
+    const MANY_REGISTERS: bool = Self::REGISTERS > 2 * BLOCK;
 }
 
-#[cfg(target_arch = "x86_64")]
-impl Blocking for polypod_lanes::Avx512 {
-    const MANY_REGISTERS: bool = true;
-}
-#[cfg(target_arch = "x86_64")]
-impl Blocking for polypod_lanes::Avx2 {
-    const MANY_REGISTERS: bool = false;
-}
-#[cfg(target_arch = "aarch64")]
-impl Blocking for Pair<polypod_lanes::Neon> {
-    const MANY_REGISTERS: bool = false;
-}
-impl Blocking for Pair<Portable> {
-    const MANY_REGISTERS: bool = false;
-}
+impl<L: Lanes> Blocking for L {}
 
 /// A product that is computed panel by panel.
 trait Panels {
@@ -357,6 +343,8 @@ impl Panels for WeightGradient<'_> {
 
 #[cfg(test)]
 mod tests {
+    use polypod_lanes::Simd;
+
     use super::*;
     use crate::lines::lines_of;
 
@@ -391,7 +379,7 @@ mod tests {
             let (a, b) = (numbers(rows * inner, 1), numbers((inner + 1) * columns, 2));
             for simd in Simd::available() {
                 let mut out = vec![Line::ZERO; lines_of(columns) * rows];
-                (Matrix::new(simd).product)(Product {
+                (Matrix::new(simd.token().unwrap()).product)(Product {
                     rows,
                     range: 0..rows,
                     inner,
@@ -418,7 +406,7 @@ mod tests {
             let (input, delta) = (numbers(rows * inner, 3), numbers(rows * columns, 4));
             for simd in Simd::available() {
                 let mut gradient = vec![Line([0.5; WIDTH]); lines_of(columns) * (inner + 1)];
-                (Matrix::new(simd).weight_gradient)(WeightGradient {
+                (Matrix::new(simd.token().unwrap()).weight_gradient)(WeightGradient {
                     rows,
                     range: 0..rows,
                     inner,
