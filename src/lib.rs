@@ -3,43 +3,43 @@
 #![warn(missing_docs)]
 
 mod actuator_network;
-mod agreement;
 pub mod app;
-pub mod batch;
-pub mod blocks;
+mod bodies;
 pub mod bounds;
-pub mod components;
 pub mod config;
 pub mod draft;
+mod ecs;
 pub mod engine;
 mod error;
-pub mod files;
-pub mod geometry_export;
-mod hash;
-pub mod mirrors;
-pub mod morphology;
-mod obstacles;
 mod options;
 pub mod robot;
-mod sealed;
+mod scene;
 pub mod simulation;
-mod sync;
+mod storage;
 #[path = "../systems/mod.rs"]
 pub mod systems;
 pub mod terrain;
-mod thread_team;
-pub mod variation;
-pub mod workers;
-pub mod world;
+mod threads;
 
 pub use polypod_dynamics as dynamics;
 pub use polypod_learner as learner;
 
 pub use app::{ForceRows, LinkRows, ParameterRows, Sim, StateRows, dump, snapshot};
+pub use bodies::{geometry_export, morphology, variation};
 pub use config::AVIAN_SUBSTEPS;
+pub use ecs::{batch, blocks, components};
 pub use error::Error;
 pub use options::{Autoreset, SimOptions};
+pub use scene::{mirrors, world};
 pub use simulation::{Control, Simulation, SimulationOptions};
+pub use storage::files;
+pub use threads::workers;
+
+// rooms name these as if they stood at the root
+use bodies::agreement;
+use scene::obstacles;
+use storage::{hash, sealed};
+use threads::{sync, thread_team};
 
 /// The Rust blocks of the pages, which `cargo test --doc` compiles.
 #[cfg(doctest)]

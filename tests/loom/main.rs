@@ -1,9 +1,9 @@
-//! The thread team of `src/thread_team.rs` under loom, which runs each test once for every order in
-//! which the threads' steps can follow one another, weak memory included. `make test` runs it; it
-//! is a program, so that the unit tests of that file stay out of it.
+//! The thread team of `src/threads/thread_team.rs` under loom, which runs each test once for every
+//! order in which the threads' steps can follow one another, weak memory included. `make test` runs
+//! it; it is a program, so that the unit tests of that file stay out of it.
 
 mod sync;
-#[path = "../../src/thread_team.rs"]
+#[path = "../../src/threads/thread_team.rs"]
 mod thread_team;
 
 use loom::cell::UnsafeCell;

@@ -1,4 +1,4 @@
-//! Loom's counterpart of `src/sync.rs`.
+//! Loom's counterpart of `src/threads/sync.rs`.
 
 pub(crate) use loom::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 pub(crate) use loom::sync::{Arc, Mutex, RwLock};
