@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::SystemKey;
-use bevy_ecs::system::System;
+use bevy_ecs::system::{System, SystemAccess};
 
 use super::{ControlStep, PipelineSet, Setup};
 use crate::blocks::{Block, Blocks};
@@ -105,8 +105,11 @@ fn note_written(world: &mut World) {
                 continue;
             };
             let access = system.initialize(world);
-            let all = system.is_exclusive();
-            let writes = |id| all || access.combined_access().has_write(id);
+            let writes = |id| match &access {
+                SystemAccess::None => false,
+                SystemAccess::Shared(access) => access.combined_access().has_write(id),
+                SystemAccess::Exclusive => true,
+            };
             let written = components.iter().filter(|(_, id)| writes(*id)).map(|(name, _)| *name).collect();
             world.resource_mut::<Writers>().written.push((key, written));
         }

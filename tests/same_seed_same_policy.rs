@@ -281,6 +281,15 @@ fn workers_that_do_not_fit_the_envs_are_refused() {
 }
 
 #[test]
+fn an_instruction_set_that_the_machine_lacks_is_refused() {
+    let sim = Sim::new(&busy(&["spot"], 48)).unwrap();
+    let settings = sim.learner(options(Symmetry::None)).unwrap().settings().clone();
+    let foreign = if cfg!(target_arch = "aarch64") { Simd::Avx2 } else { Simd::Neon };
+    let refused = Learner::new(settings, foreign).err().unwrap().to_string();
+    assert!(refused.contains("simd") && refused.contains(foreign.name()), "{refused}");
+}
+
+#[test]
 fn mirror_images_change_the_policy() {
     let [none, both, alternate] = [Symmetry::None, Symmetry::Both, Symmetry::Alternate]
         .map(|symmetry| trained(Simd::available()[0], 2, symmetry));

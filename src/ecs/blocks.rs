@@ -565,7 +565,7 @@ struct TagDigit<const DIGIT: u32>;
 /// Puts an entity of kind `K` into the tables of its morphology, when the component `K` is
 /// inserted.
 pub(crate) fn separate_morphologies<K: RowKind>(
-    inserted: On<Insert, K>,
+    inserted: On<Insert<K>>,
     tags: Query<&Morphology>,
     mut commands: Commands,
 ) {

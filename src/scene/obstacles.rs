@@ -152,5 +152,5 @@ pub(crate) fn terrain(config: &TerrainConfig) -> Option<Part> {
 pub(crate) fn hull(points: &[DVec3]) -> Option<Collider> {
     let points: Vec<Vec3> = points.iter().map(|p| p.as_vec3()).collect();
     // the library panics on degenerate input
-    catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(points))).ok().flatten()
+    catch_unwind(AssertUnwindSafe(|| Collider::convex_hull(&points))).ok().flatten()
 }

@@ -16,7 +16,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleLabel;
 use bevy_ecs::system::{SystemParam, SystemState};
 use bevy_math::{Dir3, Vec3};
-use bevy_tasks::{AsyncComputeTaskPool, ComputeTaskPool, TaskPoolBuilder};
+use bevy_tasks::{ComputeTaskPool, TaskPoolBuilder};
 use bevy_time::Time;
 use bevy_transform::components::GlobalTransform;
 
@@ -145,7 +145,7 @@ pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
     }
     for (index, obstacle) in scene.obstacles.iter().enumerate() {
         for part in obstacles::parts(obstacle) {
-            let top = part.collider.aabb(part.position.0, part.rotation).max.z + FLUSH;
+            let top = part.collider.aabb(part.position.0, part.rotation, 0.0).max.z + FLUSH;
             world.spawn((
                 ObstacleCollider { index, reach: part.reach, top },
                 RigidBody::Static,
@@ -471,11 +471,9 @@ impl CollisionHooks for SameEnv<'_, '_> {
 
 /// Makes Avian's world one that is stepped and holds many envs; before anything is in it.
 fn prepare(world: &mut World) {
-    // Avian asks for pools even where it does not use them
-    let pool = || TaskPoolBuilder::new().num_threads(1).build();
-    ComputeTaskPool::get_or_init(pool);
-    AsyncComputeTaskPool::get_or_init(pool);
-    world.resource_mut::<ColliderTreeOptimization>().use_async_tasks = false;
+    // Avian asks for a pool even where it does not use it
+    ComputeTaskPool::get_or_init(|| TaskPoolBuilder::new().num_threads(1).build());
+    world.resource_mut::<ColliderTreeOptimization>().use_compute_task = false;
     let hooks = world
         .try_register_required_components_with::<Collider, ActiveCollisionHooks>(|| ActiveCollisionHooks::FILTER_PAIRS);
     if let Err(error) = hooks {

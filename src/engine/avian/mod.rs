@@ -454,7 +454,7 @@ fn angular_inertia(&[xx, yy, zz, xy, xz, yz]: &[f64; 6]) -> ComputedAngularInert
     let columns = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
     let inverse = DMat3::from_cols_array_2d(&columns).inverse();
     let m: Mat3 = inverse.as_mat3();
-    ComputedAngularInertia::from_inverse_tensor(avian3d::math::SymmetricMatrix::from_mat3_unchecked(m))
+    ComputedAngularInertia::from_inverse_tensor(avian3d::math::SymmetricTensor::from_mat3_unchecked(m))
 }
 
 /// From rows.

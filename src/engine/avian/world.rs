@@ -10,16 +10,16 @@ use std::time::Duration;
 
 use avian3d::collision::collider::EnlargedAabb;
 use avian3d::collision::contact_types::ContactId;
+use avian3d::collision::narrow_phase::ContactStatusChangeQueue;
 use avian3d::dynamics::integrator::IntegrationSystems;
+use avian3d::dynamics::joints::joint_graph::{JointGraph, JointGraphChange, JointGraphPlugin};
+use avian3d::dynamics::rigid_body::body_size_metrics::BodySizeMetricsPlugin;
 use avian3d::dynamics::solver::constraint_graph::ConstraintGraph;
 use avian3d::dynamics::solver::contact::ContactConstraint;
-use avian3d::dynamics::solver::joint_graph::JointGraphPlugin;
 use avian3d::dynamics::solver::schedule::SubstepSolverSystems;
-use avian3d::dynamics::solver::solver_body::{SolverBody, SolverBodyInertia};
+use avian3d::dynamics::solver::solver_body::{SolverBodies, SolverBodyIndex};
 use avian3d::prelude::*;
 use bevy_app::{App, PluginGroup};
-use bevy_ecs::change_detection::ContiguousMut;
-use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::*;
 use bevy_ecs::query::ArchetypeFilter;
 use bevy_ecs::schedule::ScheduleLabel;
@@ -96,6 +96,7 @@ pub(super) fn build(contents: Contents, gravity: [f64; 3], substeps: usize) -> O
     let plugins = PhysicsPlugins::new(Unused)
         .build()
         .disable::<CcdPlugin>()
+        .disable::<BodySizeMetricsPlugin<Collider>>()
         .disable::<IslandPlugin>()
         .disable::<IslandSleepingPlugin>()
         .disable::<JointPlugin>()
@@ -116,7 +117,11 @@ pub(super) fn build(contents: Contents, gravity: [f64; 3], substeps: usize) -> O
     app.add_plugins(plugins);
     app.insert_resource(Gravity(Vec3::from_array(gravity.map(|x| x as f32))));
     app.insert_resource(SubstepCount(u32::try_from(substeps).unwrap_or(u32::MAX)));
-    app.insert_resource(NarrowPhaseConfig { contact_tolerance: CONTACT_TOLERANCE, ..NarrowPhaseConfig::default() });
+    // contacts are found again in every step: a robot's motion depends on its state alone
+    let config = NarrowPhaseConfig::default();
+    app.insert_resource(NarrowPhaseConfig { contact_tolerance: CONTACT_TOLERANCE, recycle_distance: 0.0, ..config });
+    app.init_resource::<JointGraph>();
+    app.add_message::<JointGraphChange>();
     app.init_resource::<Joints>();
     app.init_resource::<Impulses>();
     app.init_resource::<Tangents>();
@@ -158,8 +163,10 @@ pub(super) fn build(contents: Contents, gravity: [f64; 3], substeps: usize) -> O
     app.cleanup();
     let mut world = std::mem::take(app.world_mut());
     let bodies = spawn(&mut world, contents);
-    let mut order = world.query_filtered::<Entity, With<SolverBody>>();
-    order.iter(&world).eq(bodies.links.iter().copied()).then_some((world, bodies))
+    let mut order = world.query_filtered::<Entity, With<SolverBodyIndex>>();
+    let in_order = order.iter(&world).eq(bodies.links.iter().copied())
+        && world.get_resource::<SolverBodies>().is_some_and(|all| all.entities() == bodies.links);
+    in_order.then_some((world, bodies))
 }
 
 fn spawn(world: &mut World, contents: Contents) -> Bodies {
@@ -194,6 +201,8 @@ fn spawn(world: &mut World, contents: Contents) -> Bodies {
                 ComputedMass::INFINITY,
                 ComputedAngularInertia::INFINITY,
                 ComputedCenterOfMass::default(),
+                // a foot that comes down fast is met before it is in the ground
+                SpeculativeCcd::MAX,
             ));
             bodies.links.push(entity.id());
         }
@@ -345,10 +354,9 @@ pub(super) fn push_contacts(world: &mut World) {
         constraints.clear();
         let all: Vec<ContactId> = contacts.active_pairs().iter().map(|pair| pair.contact_id).collect();
         for id in all {
-            if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
-                edge.constraint_handles.clear();
+            if let Some((_, pair)) = contacts.get_mut_by_id(id) {
                 for _ in 0..pair.manifolds.len() {
-                    constraints.push_manifold(edge, pair);
+                    constraints.push_manifold(pair);
                 }
             }
         }
@@ -363,14 +371,15 @@ pub(super) fn push_contacts(world: &mut World) {
 fn order_contacts(
     mut constraints: ResMut<ConstraintGraph>,
     mut contacts: ResMut<ContactGraph>,
+    mut changes: ResMut<ContactStatusChangeQueue>,
     tangents: Res<Tangents>,
     velocities: Query<&LinearVelocity>,
 ) {
     constraints.clear();
+    changes.0.clear();
     let touching: Vec<ContactId> = contacts.iter_active_touching().map(|pair| pair.contact_id).collect();
     for id in touching {
         if let Some((edge, pair)) = contacts.get_mut_by_id(id) {
-            edge.constraint_handles.clear();
             let of = |body: Option<Entity>| body.and_then(|body| velocities.get(body).ok()).map_or(Vec3::ZERO, |v| v.0);
             let velocity = of(pair.body1) - of(pair.body2);
             let [old, old_across] = tangents.0.get(edge.pair_index).copied().unwrap_or_default();
@@ -383,7 +392,7 @@ fn order_contacts(
                 }
             }
             for _ in 0..pair.manifolds.len() {
-                constraints.push_manifold(edge, pair);
+                constraints.push_manifold(pair);
             }
         }
     }
@@ -410,16 +419,15 @@ fn prepare_joints(
     mut joints: ResMut<Joints>,
     mut impulses: ResMut<Impulses>,
     mut first: ResMut<FirstSubstep>,
-    positions: Query<&'static Position, With<SolverBody>>,
-    rotations: Query<&'static Rotation, With<SolverBody>>,
-    inertias: Query<&'static SolverBodyInertia>,
+    positions: Query<&'static Position, With<SolverBodyIndex>>,
+    rotations: Query<&'static Rotation, With<SolverBodyIndex>>,
+    bodies: Res<SolverBodies>,
 ) {
     first.0 = true;
     impulses.sum.clear();
     impulses.last.clear();
-    let inertias = read_rows(&inertias);
     joints.masses.clear();
-    joints.masses.extend(inertias.iter().map(|inertia| {
+    joints.masses.extend(bodies.inertias().iter().map(|inertia| {
         let i = inertia.effective_inv_angular_inertia();
         let inverse = Mat3::from_cols(
             Vec3::new(i.m00, i.m01, i.m02),
@@ -436,36 +444,32 @@ fn prepare_joints(
     joints.prepare(&poses);
 }
 
-fn begin_joints(
-    mut joints: ResMut<Joints>,
-    mut first: ResMut<FirstSubstep>,
-    mut bodies: Query<&'static mut SolverBody>,
-) {
-    let bodies = write_rows(&mut bodies);
+fn begin_joints(mut joints: ResMut<Joints>, mut first: ResMut<FirstSubstep>, mut bodies: ResMut<SolverBodies>) {
+    let bodies = bodies.bodies_mut();
     joints.begin(bodies, first.0);
     joints.push(bodies);
     first.0 = false;
 }
 
-fn solve_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    joints.solve(write_rows(&mut bodies), true);
+fn solve_joints(mut joints: ResMut<Joints>, mut bodies: ResMut<SolverBodies>) {
+    joints.solve(bodies.bodies_mut(), true);
 }
 
-fn close_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    let bodies = write_rows(&mut bodies);
+fn close_joints(mut joints: ResMut<Joints>, mut bodies: ResMut<SolverBodies>) {
+    let bodies = bodies.bodies_mut();
     joints.solve(bodies, true);
     joints.advance(bodies);
 }
 
-fn relax_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    let bodies = write_rows(&mut bodies);
+fn relax_joints(mut joints: ResMut<Joints>, mut bodies: ResMut<SolverBodies>) {
+    let bodies = bodies.bodies_mut();
     joints.solve(bodies, false);
     joints.add_efforts(bodies);
 }
 
 /// The joints hold in what is reported, too.
-fn reclose_joints(mut joints: ResMut<Joints>, mut bodies: Query<&'static mut SolverBody>) {
-    joints.solve(write_rows(&mut bodies), false);
+fn reclose_joints(mut joints: ResMut<Joints>, mut bodies: ResMut<SolverBodies>) {
+    joints.solve(bodies.bodies_mut(), false);
 }
 
 fn sum_impulses(mut impulses: ResMut<Impulses>, constraints: Res<ConstraintGraph>) {
@@ -481,8 +485,8 @@ fn sum_impulses(mut impulses: ResMut<Impulses>, constraints: Res<ConstraintGraph
 
 fn finish_joints(
     mut joints: ResMut<Joints>,
-    rotations: Query<&'static Rotation, With<SolverBody>>,
-    velocities: Query<&'static AngularVelocity, With<SolverBody>>,
+    rotations: Query<&'static Rotation, With<SolverBodyIndex>>,
+    velocities: Query<&'static AngularVelocity, With<SolverBodyIndex>>,
 ) {
     let rotations: Vec<Quat> = read_rows(&rotations).iter().map(|rotation| rotation.0).collect();
     let velocities: Vec<Vec3> = read_rows(&velocities).iter().map(|velocity| velocity.0).collect();
@@ -501,14 +505,4 @@ impl Joints {
 /// they were made.
 fn read_rows<'w, C: Component, F: ArchetypeFilter>(query: &'w Query<'_, '_, &'static C, F>) -> &'w [C] {
     query.contiguous_iter().ok().and_then(|mut tables| tables.next()).unwrap_or_default()
-}
-
-/// The same, to write.
-fn write_rows<'w, C: Component<Mutability = Mutable>, F: ArchetypeFilter>(
-    query: &'w mut Query<'_, '_, &'static mut C, F>,
-) -> &'w mut [C] {
-    match query.contiguous_iter_mut().ok().and_then(|mut tables| tables.next()) {
-        Some(rows) => ContiguousMut::split(rows).0,
-        None => &mut [],
-    }
 }
