@@ -190,16 +190,16 @@ class TermSim(_core.VecSim):
                 self._begin(done, ended=np.flatnonzero(done))
         self.seconds["step"] = self.seconds.get("step", 0.0) + time.perf_counter() - started
 
-    def reset(self, seed: int | None = None, mask: BoolArray | None = None) -> None:
+    def reset(self, seed: int | None = None, mask: BoolArray | None = None, state: Any = None) -> None:
         """Begins new episodes, see `VecSim.reset`."""
         n = self.num_envs
         if mask is not None and (mask.dtype != np.bool_ or mask.shape != (n,) or seed is not None):
-            super().reset(seed, mask)  # an error that names the argument
+            super().reset(seed, mask, state)  # an error that names the argument
         rows = np.ones(n, dtype=np.bool_) if mask is None else mask.copy()
         ended = rows & (self._terminated | self._truncated)
         if seed is not None or self.same_step:  # curricula are told of ends once, and of none after a seed
             ended[:] = False
-        self._begin(rows, ended=np.flatnonzero(ended), seed=seed)
+        self._begin(rows, ended=np.flatnonzero(ended), seed=seed, state=state)
         self._terminated, self._truncated = self._terminated & ~rows, self._truncated & ~rows
 
     def terminate(self, mask: BoolArray) -> None:
@@ -213,6 +213,7 @@ class TermSim(_core.VecSim):
         *,
         ended: Ids | None = None,
         seed: int | None = None,
+        state: Any = None,
         is_startup: bool = False,
     ) -> None:
         """Begins the episodes of these rows; the curricula are told those that have ended."""
@@ -224,7 +225,7 @@ class TermSim(_core.VecSim):
                 if mine.size:
                     self._note(curriculum.name, self._call(curriculum.name, curriculum.function, env, mine))
         if not is_startup:
-            super().reset(seed, rows if seed is None else None)
+            super().reset(seed, rows if seed is None else None, state)
         is_startup = is_startup or seed is not None
         env.refresh()
         if is_startup:
