@@ -646,9 +646,9 @@ class VecSim:
     ) -> None:
         """Sets the state of some envs in the middle of their episodes.
 
-        Order, units and frames are those of `polypod.State`: what it gives can be set again. What
-        is absent stays as it gives it. Each argument is an array [n, width] with a row for each of
-        `env_ids`, or one row for all of them.
+        Order, units and frames are those of `polypod.State`: what it gives can be set again. Absent
+        arguments leave the state as it is. Each argument is an array [n, width] with a row for each
+        of `env_ids`, or one row for all of them.
 
         Sensors, feet, links and the observation are computed for the new state as after a reset:
         accelerations, efforts, contact forces and times are 0, a history is filled with the new

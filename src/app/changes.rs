@@ -111,8 +111,8 @@ impl Sim {
     /// mirrors and the observation, whose history is filled with it. Impulses, efforts, contact
     /// forces and the memory of actuator networks are zero: no physics step has been made.
     ///
-    /// Nothing lifts a robot out of the ground, and a joint up to 0.1 rad beyond a limit is taken as
-    /// it is: the next physics steps push both back.
+    /// Nothing lifts a robot out of the ground, and a joint up to 0.1 rad beyond a limit is taken
+    /// as it is: the next physics steps push both back.
     ///
     /// # Errors
     /// The wrong number of numbers, a number that is not finite or beyond the limits of states, a
@@ -145,8 +145,8 @@ impl Sim {
         self.measure_written(&places)
     }
 
-    /// Begins new episodes, in the envs of the mask or in all, in these states; absent quantities are
-    /// those of the reset.
+    /// Begins new episodes, in the envs of the mask or in all, in these states; absent quantities
+    /// are those of the reset.
     ///
     /// # Errors
     /// As [`reset`](Self::reset) and [`set_states`](Self::set_states); the simulation is then as it
@@ -294,7 +294,7 @@ impl Sim {
     /// are combined with them. The dynamic one is the static one unless given.
     ///
     /// This and the next two hold through resets until they are set again. A reset's event that
-    /// draws the same number starts from the set one, and a reset with a seed draws all anew.
+    /// draws the same number starts from the set one, and a reset with a seed draws all again.
     ///
     /// # Errors
     /// A negative coefficient, one that is not finite, another number of values, no such env.

@@ -258,8 +258,8 @@ impl Sim {
         poses
     }
 
-    /// All links of the robot at place `index`, of its bodies as they were randomised. A broken state
-    /// gives zeros.
+    /// All links of the robot at place `index`, of its bodies as they were randomised. A broken
+    /// state gives zeros.
     pub fn links(&mut self, index: usize) -> LinkRows {
         type Columns = (
             &'static EnvId,

@@ -21,7 +21,8 @@ struct StrideTime {
     /// Longest stride that is rewarded, s.
     #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     threshold: f32,
-    /// Whether a pure turn is rewarded too, as in mjlab; Isaac Lab rewards strides on the way alone.
+    /// Whether a pure turn is rewarded too, as in mjlab; Isaac Lab rewards strides on the way
+    /// alone.
     #[serde(default)]
     turning: bool,
 }

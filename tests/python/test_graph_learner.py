@@ -256,7 +256,7 @@ def test_who_learns(tmp_path):
 
 
 def test_the_critic_learns_alone(tmp_path):
-    """What graphs read stays where it is, and the actor's moments begin with its first step."""
+    """Tensors that graphs read stay in place, and the actor's moments begin with its first step."""
     made = runner(GraphRunner, "plain_rewards", tmp_path)
     before = [parameter.detach().clone() for parameter in made.alg.actor.parameters()]
     critic = [parameter.detach().clone() for parameter in made.alg.critic.parameters()]

@@ -1,4 +1,4 @@
-"""Descriptions that are written in an unusual way are read by `polypod add`, or it says what to do."""
+"""Unusual descriptions are read by `polypod add`, or it says what to do."""
 
 import json
 import zipfile
@@ -17,7 +17,7 @@ FREE = "0 0 {} 1 0 0 0 "
 
 
 def bird() -> str:
-    """A biped with linkages: a rod from the thigh moves the shank, a crank and a rod move the foot."""
+    """A biped with linkages: a rod moves the shank, a crank and a rod move the foot."""
     bar = 'type="capsule" contype="0" conaffinity="0" size="0.01" mass="0.1"'
 
     def leg(name: str, y: float) -> str:

@@ -514,6 +514,6 @@ def test_writing_into_what_was_handed_out_is_an_error():
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
         assert not array.flags.writeable, name
-    # what is yours to keep is yours to change
+    # a kept array may be changed
     mine = batch().step(drawn(env, 0))[0]
     mine[...] = 0.0

@@ -65,7 +65,7 @@ def paths(specialist: Path) -> dict[str, str]:
 
 
 def test_labels_are_what_each_teacher_does_in_its_own_task(specialist):
-    """Of a batch of three bodies, over steps that move them and past the end of episodes."""
+    """Three bodies move past the end of their episodes, and all labels agree."""
     env = polypod.make(TASK, 7, robots=ROBOTS, seed=3, threads=1, overrides=[*GROUPS, *STILL], autoreset="same_step")
     vec = VecEnv(env, "cpu")
     teachers = Teachers(env.sim, ["teacher"], paths(specialist), "cpu")

@@ -75,8 +75,8 @@ impl<S: Real> LinkForce<S> {
         Self { link, in_world, acts: z, point: [z; 3], force: [z; 3], torque: [z; 3] }
     }
 
-    /// What the lanes of a pack share: link and frame. Forces are added in the order of their keys,
-    /// so that no lane's sum depends on its neighbours.
+    /// Link and frame, which the lanes of a pack share. Forces are added in the order of their
+    /// keys, so that no lane's sum depends on its neighbours.
     pub fn key(&self) -> (usize, bool) {
         (self.link, self.in_world)
     }

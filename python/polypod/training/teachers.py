@@ -121,7 +121,7 @@ class _Source:
         self.slots: list[str] = sim.canonical_joint_names
         self.mask = torch.from_numpy(sim.action_mask)
         self._places: dict[Number, tuple[int, str]] = {}
-        """Column and group of each number; the first group that has it counts."""
+        """Column and group of each number; the first group with it counts."""
         self.width = 0
         for group in groups:
             for number in _numbers(sim, group):
@@ -373,7 +373,7 @@ class ManyTeachers(Distillation):
 
 
 def _seen(obs: TensorDict, groups: Mapping[str, list[str]]) -> TensorDict:
-    """What the student sees: labels are stored, not what teachers saw."""
+    """The student's observations: labels are stored, not what teachers saw."""
     seen: TensorDict = obs.select(*groups["student"], *([ACTION_MASK] if ACTION_MASK in obs.keys() else []))  # noqa: SIM118
     return seen
 
