@@ -244,6 +244,7 @@ class ManyTeachers(Distillation):
     """
 
     teacher: Teachers
+    last_hidden_states: tuple[Any, Any]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """As rsl_rl's."""
@@ -339,7 +340,7 @@ class ManyTeachers(Distillation):
 
     def _learn(self, loss: torch.Tensor) -> None:
         self.optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         if self.is_multi_gpu:
             self.reduce_parameters()
         if self.max_grad_norm:
