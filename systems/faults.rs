@@ -2,6 +2,7 @@
 //! error.
 
 use std::cell::RefCell;
+use std::panic::resume_unwind;
 
 use bevy_ecs::error::{BevyError, ErrorContext};
 use bevy_ecs::prelude::*;
@@ -17,7 +18,14 @@ thread_local! {
 }
 
 /// Bevy's handler for the errors of systems, commands and observers.
-pub(crate) fn note(error: BevyError, context: ErrorContext) {
+///
+/// # Panics
+/// A system has panicked, with its message.
+pub(crate) fn note(mut error: BevyError, context: ErrorContext) {
+    // Bevy catches panics of systems and hands them on as errors
+    if let Some(payload) = error.take_payload() {
+        resume_unwind(payload);
+    }
     let error = own(&error, &context.name().to_string());
     FAULT.with_borrow_mut(|fault| {
         fault.get_or_insert(error);

@@ -85,7 +85,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (*_CHECKPOINT, "--num-envs", "8", "--steps", "1"),
         _WITH_TASK
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--episodes": COUNTS, "--steps": COUNTS, "--grid": COUNTS}
-        | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES, "--commands": NAMES},
+        | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES, "--commands": NAMES}
+        | {"--terms": FILES},
     ),
     "export": (
         (*_CHECKPOINT, "--formats", "onnx", "--out", "out"),
@@ -104,7 +105,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (*_CHECKPOINT, "--headless", "--seconds", "0.1"),
         _WITH_TASK
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--seconds": FLOATS, "--warm-up": FLOATS}
-        | {"--command": FLOATS, "--robot": NAMES},
+        | {"--command": FLOATS, "--robot": NAMES, "--terms": FILES},
     ),
     "play page": (
         (*_CHECKPOINT, "--robots", "spot", "--seconds", "0.1", "--port", "0"),
