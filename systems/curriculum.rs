@@ -5,8 +5,7 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::Share;
-use super::terms::{CompiledTask, Registry};
-use super::view::EpisodeEnd;
+use super::terms::{CompiledTask, EpisodeEnd, Registry};
 use crate::blocks::{Block, BlockSizes, Blocks};
 use crate::components::{Env, EnvOrigin, EnvRng};
 use crate::config::quantities::Gain;

@@ -4,7 +4,8 @@ use bevy_ecs::prelude::*;
 
 use super::faults;
 use super::terms::CompiledTask;
-use super::view::{RobotView, ViewParam};
+use super::view::RobotView;
+use super::views::ViewParam;
 use crate::blocks::{Block, Blocks};
 use crate::components::{ContactForces, Env, Episode, PerFoot, Robot};
 use crate::error::Error;

@@ -31,6 +31,7 @@
 mod act;
 mod broken;
 mod command;
+mod commanded;
 mod curriculum;
 mod disturb;
 mod faults;
@@ -49,13 +50,13 @@ mod reward;
 mod sampling;
 mod saved;
 mod scene;
-mod schedules;
 mod sense;
 mod spawn;
 mod startup;
 mod terminate;
 mod terms;
 mod view;
+mod views;
 
 use bevy_app::{App, Plugin, plugin_group};
 use bevy_ecs::error::FallbackErrorHandler;
@@ -69,7 +70,8 @@ use crate::options::Autoreset;
 
 pub use act::ActPlugin;
 pub use broken::{BrokenState, BrokenStates};
-pub use command::{CommandKind, CommandPlugin, CommandSpec, CommandTerm, CommandView, CommandedRobot};
+pub use command::CommandPlugin;
+pub use commanded::{CommandKind, CommandSpec, CommandTerm, CommandView, CommandedRobot};
 pub use curriculum::place_envs;
 pub use disturb::DisturbPlugin;
 pub(crate) use faults::{outcome, run};
@@ -96,10 +98,10 @@ pub use startup::randomise_at_startup;
 pub use terminate::TerminatePlugin;
 pub(crate) use terms::{ACTION_DELAY, PHYSICS_MATERIAL};
 pub use terms::{
-    Block, CompiledTask, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm, TermKind,
-    TermSource, TermSpec, TerminationTerm,
+    Block, CompiledTask, EpisodeEnd, JointMirror, ObservationGroup, ObservationTerm, Per, Registry, RewardTerm,
+    TermKind, TermSource, TermSpec, TerminationTerm,
 };
-pub use view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
+pub use view::{EventBody, NewBody, NewState, RobotView};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]

@@ -5,12 +5,13 @@ use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
 use super::ResetRequest;
-use super::command::{CommandedRobot, draw_command, heading, steer};
+use super::command::{draw_command, heading, steer};
+use super::commanded::CommandedRobot;
 use super::disturb::{EXTERNAL_WRENCH, WrenchRanges};
 use super::place::place_robots;
 use super::startup::is_due;
-use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, NoParams, Registry};
-use super::view::{EpisodeEnd, NewState};
+use super::terms::{ACTION_DELAY, ActionDelay, CompiledTask, EpisodeEnd, NoParams, Registry};
+use super::view::NewState;
 use super::{ResetSet, for_both, startup};
 use crate::blocks::{Block, Blocks};
 use crate::components::{

@@ -6,7 +6,8 @@ use serde::Deserialize;
 
 use super::groups::BodiesInContact;
 use super::terms::{CompiledTask, NoParams, Registry};
-use super::view::{RobotView, ViewParam};
+use super::view::RobotView;
+use super::views::ViewParam;
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
 use crate::blocks::{Block, Blocks};

@@ -43,9 +43,11 @@ const ROOMS: [&str; 31] = [
 const SHELVES: [&str; 5] = ["bodies", "ecs", "scene", "storage", "threads"];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 28] = [
+const SYSTEMS: [&str; 30] = [
+    "commanded",
     "view",
     "terms",
+    "views",
     "faults",
     "sampling",
     "saved",

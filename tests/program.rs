@@ -14,7 +14,7 @@ mod jammed_links_win_no_energy;
 mod policies_run_without_python;
 
 /// The folder of the project.
-const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
+const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../..");
 
 /// The command line program.
 fn polypod_sim(arguments: &[&str]) -> Command {

@@ -2,6 +2,7 @@
 //! bytes that follow its header.
 
 use std::cell::RefCell;
+use std::path::Path;
 
 use polypod::morphology::Morphologies;
 use polypod::systems::{CompiledTask, Logs};
@@ -98,7 +99,9 @@ fn task(name: &str, overrides: &[&str]) -> SimOptions {
 }
 
 fn biped(engine: &str) -> SimulationOptions {
-    let robot = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/data/urdf/biped.urdf");
+    // fuzz targets and the tests of the program, from folders of two depths, compile this file
+    let mut above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|of| of.join("tests/data/urdf/biped.urdf"));
+    let robot = above.find(|file| file.exists()).unwrap_or_default().display().to_string();
     SimulationOptions { engine: engine.into(), threads: Some(1), ..SimulationOptions::new(robot, 2) }
 }
 

@@ -11,20 +11,17 @@ pub(super) mod pose;
 pub(super) mod position;
 mod velocity;
 
-use std::ops::Range;
-
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
-use serde::Serialize;
 use smallvec::smallvec;
 
 use self::velocity::CommandRows;
 pub(super) use self::velocity::{draw_command, heading, steer};
+use super::commanded::{CommandKind, CommandSpec, CommandedRobot};
 use super::terms::{CompiledTask, NoParams, Registry};
 use super::{ControlStep, PipelineSet};
 use crate::blocks::{Block, Blocks};
 use crate::components::{BasePose, Command, CommandNumbers, CurriculumProgress, Env, EnvRng, Robot};
-use crate::morphology::MorphologyModel;
 use crate::workers::Workers;
 
 /// Draws commands, and lets those that follow the robot or the time follow it.
@@ -55,69 +52,6 @@ impl CommandKind for Nothing {
     fn draw(&self, _: &CommandedRobot, _: &mut [f32], _: &mut EnvRng) {}
 }
 
-/// Description of a kind of command.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct CommandSpec {
-    /// Names of its numbers.
-    pub columns: &'static [&'static str],
-    /// Meaning, with units and frames.
-    pub description: &'static str,
-}
-
-/// Robot and env for which a command is drawn.
-#[derive(Clone, Copy)]
-pub struct CommandedRobot<'a> {
-    /// Morphology of the robot.
-    pub morphology: &'a MorphologyModel,
-    /// Pose of its base; x and y relative to the env's origin.
-    pub pose: &'a BasePose,
-}
-
-/// A kind of command with the parameters of a task, for a morphology.
-pub trait CommandKind: Send + Sync + 'static {
-    /// Writes new numbers, at resets and after each resampling time.
-    fn draw(&self, robot: &CommandedRobot, numbers: &mut [f32], rng: &mut EnvRng);
-
-    /// Changes the numbers in a control step of this length, s.
-    fn advance(&self, _numbers: &mut [f32], _step_dt: f32) {}
-}
-
-/// A command of a task other than the velocity.
-pub struct CommandTerm {
-    /// Its name.
-    pub name: String,
-    /// Names of its numbers.
-    pub columns: &'static [&'static str],
-    /// Its numbers among those of all commands.
-    pub range: Range<usize>,
-    /// Time between two draws, s; absent where a reset alone draws it.
-    pub(super) resampling_time_s: Option<f32>,
-    /// The kind, for each morphology.
-    pub(super) kinds: Vec<Box<dyn CommandKind>>,
-}
-
-/// The commands of a robot other than the velocity, as terms read them.
-#[derive(Clone, Copy, Default)]
-pub struct CommandView<'a> {
-    pub(super) terms: &'a [CommandTerm],
-    pub(super) numbers: &'a [f32],
-}
-
-impl<'a> CommandView<'a> {
-    /// The numbers of a command; empty where the task lacks it.
-    #[inline(always)]
-    pub fn of(&self, name: &str) -> &'a [f32] {
-        let term = self.terms.iter().find(|term| term.name == name);
-        term.and_then(|term| self.numbers.get(term.range.clone())).unwrap_or_default()
-    }
-
-    /// The first numbers of a command; zeros where the task lacks it.
-    #[inline(always)]
-    pub fn first<const N: usize>(&self, name: &str) -> [f32; N] {
-        self.of(name).first_chunk().copied().unwrap_or([0.0; N])
-    }
-}
-
 impl CompiledTask {
     /// Numbers of the commands of an env, before the first draw.
     pub(super) fn new_command_numbers(&self) -> CommandNumbers {
@@ -143,12 +77,6 @@ impl CompiledTask {
                 commands.time_left[bit] = term.resampling_time_s.unwrap_or_default();
             }
         }
-    }
-}
-
-impl CommandTerm {
-    fn draw(&self, morphology: usize, robot: &CommandedRobot, numbers: &mut [f32], rng: &mut EnvRng) {
-        self.kinds[morphology].draw(robot, &mut numbers[self.range.clone()], rng);
     }
 }
 

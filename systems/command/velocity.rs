@@ -5,9 +5,9 @@ use crate::components::{BasePose, Command, CurriculumProgress, EnvRng};
 use crate::config::{VELOCITY_COMMAND, VelocityCommandConfig};
 use crate::dynamics::elementary::atan2;
 use crate::dynamics::lanes::Kernel;
-use crate::systems::command::CommandSpec;
-use crate::systems::schedules::VelocityRanges;
+use crate::systems::commanded::CommandSpec;
 use crate::systems::terms::Registry;
+use crate::systems::terms::VelocityRanges;
 
 /// Registers the kind. Its numbers stand in [`Command`].
 pub(super) fn register(registry: &mut Registry) {

@@ -12,7 +12,8 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
 use super::terms::{CompiledTask, Registry};
-use super::view::{RobotView, ViewParam};
+use super::view::RobotView;
+use super::views::ViewParam;
 use super::{ControlStep, PipelineSet};
 use crate::batch::Batch;
 use crate::blocks::{Block, Blocks};

@@ -1,7 +1,8 @@
 //! The built-in terms: each file of the pipeline registers its own.
 
-use super::super::{command, curriculum, disturb, observe, privileged, reset, reward, schedules, startup, terminate};
+use super::super::{command, curriculum, disturb, observe, privileged, reset, reward, startup, terminate};
 use super::registry::Registry;
+use super::schedules;
 
 impl Registry {
     /// The built-in terms.

@@ -7,13 +7,13 @@ use bevy_ecs::prelude::Resource;
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::super::command::CommandTerm;
-use super::super::schedules::{Schedules, VelocityRanges};
+use super::super::commanded::CommandTerm;
 use super::super::view::RobotView;
 use super::registry::{
     BodyFn, BuiltObservation, CurriculumFn, IntervalFn, NoParams, ObservationFn, Registry, ResetFn, RewardFn,
     TerminationFn,
 };
+use super::schedules::{Schedules, VelocityRanges};
 use super::spec::{TermKind, TermSource, TermSpec};
 use crate::bounds::MAX_BUCKETS;
 use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};

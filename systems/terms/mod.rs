@@ -7,12 +7,16 @@
 
 mod builtin;
 mod compile;
+mod episode_end;
 mod registry;
+mod schedules;
 mod spec;
 
 pub(crate) use compile::{ACTION_DELAY, PHYSICS_MATERIAL};
 pub(super) use compile::{ActionDelay, BODY_VARIATION, PhysicsMaterial};
 pub use compile::{CompiledTask, ObservationGroup, ObservationTerm, RewardTerm, TerminationTerm};
+pub use episode_end::EpisodeEnd;
 pub(crate) use registry::NoParams;
 pub use registry::Registry;
+pub(super) use schedules::VelocityRanges;
 pub use spec::{Block, JointMirror, Per, TermKind, TermSource, TermSpec};

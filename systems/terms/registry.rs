@@ -7,8 +7,9 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use toml::Table;
 
-use super::super::command::{CommandKind, CommandSpec};
-use super::super::view::{EpisodeEnd, EventBody, NewBody, NewState, RobotView};
+use super::super::commanded::{CommandKind, CommandSpec};
+use super::super::view::{EventBody, NewBody, NewState, RobotView};
+use super::episode_end::EpisodeEnd;
 use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};

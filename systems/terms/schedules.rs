@@ -14,8 +14,9 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::terms::{Registry, RewardTerm};
-use super::view::EpisodeEnd;
+use super::compile::RewardTerm;
+use super::episode_end::EpisodeEnd;
+use super::registry::Registry;
 use crate::bounds::MAX_COMMAND;
 use crate::components::{CurriculumProgress, EnvRng};
 use crate::config::quantities::{SpeedThreshold, Steps, Weight};

@@ -1,0 +1,34 @@
+//! The end of an episode, as curricula see it.
+
+use super::compile::CompiledTask;
+use crate::components::{BasePose, Command, CurriculumProgress, EnvOrigin, Episode, EpisodeSums};
+use crate::terrain::TerrainLayout;
+
+/// An episode that is over, and what its end may change.
+pub struct EpisodeEnd<'a> {
+    /// How it ended.
+    pub episode: &'a Episode,
+    /// Where the robot was then.
+    pub pose: &'a BasePose,
+    /// Command at the end.
+    pub command: &'a Command,
+    /// Sums of its rewards and errors.
+    pub sums: &'a EpisodeSums,
+    /// Morphology of the robot, as its place among those of the task.
+    pub(in crate::systems) robot: usize,
+    /// The task.
+    pub(in crate::systems) task: &'a CompiledTask,
+    /// Progress of the env through the curriculum.
+    pub progress: &'a mut CurriculumProgress,
+    /// Length of a full episode, s.
+    pub episode_length_s: f32,
+    /// Time since the episode's reset, s.
+    pub lived_s: f32,
+    /// Time that the robot was given, s: all until the time-out where a termination of the task
+    /// ended the episode, and `lived_s` where the time ran out or a caller ended it.
+    pub given_s: f32,
+    /// The tiles, if the ground is generated terrain.
+    pub layout: Option<&'a TerrainLayout>,
+    /// Where the next episode begins.
+    pub origin: &'a mut EnvOrigin,
+}
