@@ -95,7 +95,8 @@ def complaint(fork_server, program, words, place):
     bad = [word for word in ("Traceback", "this is a bug", "panicked", "memory allocation") if word in said]
     if ended.code not in codes or bad:
         return f"{shown}: {ended.code} {said[-600:]}"
-    if ended.code and not ended.errors.strip():
+    # 3 is a verdict on a policy, which stands in the output
+    if ended.code and not (said if ended.code == 3 else ended.errors).strip():
         return f"{shown}: {ended.code} without a word"
     return None
 
