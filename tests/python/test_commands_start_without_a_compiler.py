@@ -24,7 +24,7 @@ def test_the_native_learner_and_the_evaluation_need_no_compiler(tmp_path):
 
 
 def test_programs_that_import_polypod_keep_their_imports():
-    """In a process of its own: tests that run commands change the imports of theirs."""
+    """In a separate process: tests that run commands change the imports of theirs."""
     script = "import sys; before = list(sys.meta_path); import polypod.vector_env; print(sys.meta_path == before)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stdout.split() == ["True"], done.stderr
