@@ -27,29 +27,29 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from polypod._core import ConfigError, UnknownNameError, VecSim
-from polypod.python_terms import (
+from polypod.python_terms.checks import LARGEST, Checks
+from polypod.python_terms.declarations import (
     Command,
     Curriculum,
-    EnvRandom,
     Event,
     Memory,
     Metric,
     Observation,
     Reward,
-    TermEnv,
     Termination,
     Terms,
     command,
     curriculum,
     event,
-    load,
     memory,
     metric,
     observation,
     reward,
     termination,
 )
-from polypod.python_terms.checks import LARGEST, Checks
+from polypod.python_terms.env import TermEnv
+from polypod.python_terms.file import load
+from polypod.python_terms.random import EnvRandom
 from polypod.state import State
 from polypod.vector_env import VectorEnv
 
