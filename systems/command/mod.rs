@@ -30,7 +30,10 @@ pub struct CommandPlugin;
 
 impl Plugin for CommandPlugin {
     fn build(&self, app: &mut App) {
-        app.add_systems(ControlStep, (update_commands, update_other_commands).chain().in_set(PipelineSet::Command));
+        app.add_systems(
+            ControlStep,
+            (update_commands, update_other_commands, count_steps).chain().in_set(PipelineSet::Command),
+        );
     }
 }
 
@@ -101,20 +104,22 @@ pub(super) fn update_commands(
     Ok(())
 }
 
-/// The same for all other commands; then counts the control step.
+/// The same for all other commands.
 pub(super) fn update_other_commands(
     workers: Res<Workers>,
     morphologies: Res<crate::morphology::Morphologies>,
     task: Res<CompiledTask>,
     robots: Blocks<&'static BasePose, Robot>,
-    mut envs: Blocks<(&'static mut CommandNumbers, &'static mut CurriculumProgress, &'static mut EnvRng), Env>,
+    mut envs: Blocks<(&'static mut CommandNumbers, &'static mut EnvRng), Env>,
 ) -> Result {
+    if task.command_terms.is_empty() {
+        return Ok(());
+    }
     robots.read()?.zip(envs.write()?).for_each_chunk(&workers, |Block { morphology, envs, rows }| {
-        let (poses, (commands, progress, rngs)) = rows;
+        let (poses, (commands, rngs)) = rows;
         let index = usize::from(morphology.0);
         let morphology = morphologies.get(morphology);
         for i in 0..envs.len() {
-            progress[i].steps += 1;
             let commands = &mut commands[i];
             for (bit, term) in task.command_terms.iter().enumerate() {
                 term.kinds[index].advance(&mut commands.numbers[term.range.clone()], task.step_dt);
@@ -133,6 +138,16 @@ pub(super) fn update_other_commands(
             }
         }
     });
+    Ok(())
+}
+
+/// Counts the control step, after all commands of the step.
+fn count_steps(mut envs: Blocks<&'static mut CurriculumProgress, Env>) -> Result {
+    for block in envs.write()? {
+        for progress in block.rows {
+            progress.steps += 1;
+        }
+    }
     Ok(())
 }
 
