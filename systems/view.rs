@@ -37,8 +37,8 @@ pub struct RobotView<'a> {
     /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has
     /// none.
     pub height_scan: &'a [f32],
-    /// Descriptions of its joints, see [`JointDescriptors`]; empty where the task does not observe
-    /// them.
+    /// Descriptions of its joints, see [`JointDescriptors`](crate::components::JointDescriptors);
+    /// empty where the task does not observe them.
     pub joint_descriptors: &'a [f32],
     /// The robot's own numbers, as randomised.
     pub body: &'a Parameters<f32>,

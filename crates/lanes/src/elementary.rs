@@ -1,7 +1,7 @@
 //! Elementary functions of lanes and of single numbers, of IEEE operations only: the bits are the
 //! same on every machine.
 //!
-//! All are of single precision. [`Real::sin_cos`] calls [`sin_cos`] for lanes and `f32`, and the
+//! All are of single precision. [`Real::sin_cos`] calls `sin_cos` for lanes and `f32`, and the
 //! standard library's for `f64`.
 
 use super::Real;
