@@ -121,6 +121,10 @@ pub(super) fn step_physics(
 
 /// Counts the control steps of the forces on links, and ends those that have acted long enough.
 pub(super) fn end_forces(mut robots: Blocks<&'static mut LinkForces, Robot>) -> Result {
+    // most steps have none: nothing is marked as changed then
+    if robots.read()?.into_iter().all(|block| block.rows.iter().all(|forces| forces.0.is_empty())) {
+        return Ok(());
+    }
     for block in robots.write()? {
         for LinkForces(forces) in block.rows {
             if !forces.is_empty() {

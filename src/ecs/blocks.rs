@@ -147,7 +147,8 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
         self.read_blocks(false)
     }
 
-    /// The blocks of all morphologies, to write. Bevy's change detection does not see it.
+    /// The blocks of all morphologies, to write. Bevy's change detection takes all of their rows as
+    /// changed.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -160,7 +161,7 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
     }
 
     /// The blocks of the morphologies that have entities of this kind with these components, to
-    /// write. Bevy's change detection does not see it.
+    /// write. Bevy's change detection takes all of their rows as changed.
     ///
     /// # Errors
     /// As [`read_some`](Self::read_some).

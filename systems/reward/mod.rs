@@ -11,7 +11,7 @@ mod scaled_terms;
 use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, Registry, RewardTerm};
 use super::view::RobotView;
 use super::views::ViewParam;
 use super::{ControlStep, PipelineSet};
@@ -49,6 +49,8 @@ pub(super) fn compute_rewards(
         &workers,
         |Block { morphology, envs, rows: ((views, (episodes, progress, sums)), rewards) }| {
             let terms = &task.rewards[usize::from(morphology.0)];
+            // without them, the search costs as much as a cheap term
+            let scheduled = terms.iter().any(RewardTerm::is_scheduled);
             for i in 0..envs.len() {
                 let episode = &episodes[i];
                 let resetting = *autoreset == Autoreset::NextStep && episode.needs_reset && !episode.done();
@@ -61,8 +63,8 @@ pub(super) fn compute_rewards(
                 sums.add_errors(&view);
                 let mut total = 0.0;
                 for (term, sum) in terms.iter().zip(sums.terms.iter_mut()) {
-                    let value =
-                        term.weight_at(progress[i].steps) * (term.value)(&view, workers.dispatch()) * task.step_dt;
+                    let weight = if scheduled { term.weight_at(progress[i].steps) } else { term.weight };
+                    let value = weight * (term.value)(&view, workers.dispatch()) * task.step_dt;
                     *sum += value;
                     total += value;
                 }

@@ -39,6 +39,11 @@ pub struct RewardTerm {
 }
 
 impl RewardTerm {
+    /// Whether its factor changes in the course of the simulation.
+    pub(in crate::systems) fn is_scheduled(&self) -> bool {
+        !self.later.is_empty()
+    }
+
     /// Factor of its value in a control step of the simulation.
     #[inline(always)]
     pub fn weight_at(&self, step: u64) -> f32 {
