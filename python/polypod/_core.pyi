@@ -883,10 +883,27 @@ class VecSim:
     def command(self) -> npt.NDArray[np.float32]:
         """[num_envs, 3], commanded velocity in the base frame: x, y (m/s), yaw rate (rad/s)."""
 
-    def set_command(self, command: npt.NDArray[np.float32] | None, env_ids: npt.ArrayLike | None = None) -> None:
-        """Pins commands to float32 [n, 3]: no resampling, no heading controller.
+    def command_columns(self) -> dict[str, list[str]]:
+        """Names of the numbers of each command of the task, by the command's name."""
 
-        None releases them. `env_ids` are the rows of the n envs; None: all.
+    def command_of(self, name: str) -> npt.NDArray[np.float32]:
+        """[num_envs, columns], present numbers of a command of the task. A copy.
+
+        `command_columns` names them; `command_specs` has their units.
+        """
+
+    def set_command(
+        self,
+        command: npt.NDArray[np.float32] | None,
+        env_ids: npt.ArrayLike | None = None,
+        *,
+        name: str = "base_velocity",
+    ) -> None:
+        """Pins a command of the task to float32 [n, columns]: it is not drawn again.
+
+        A velocity has 3 columns, and no heading controller turns it; a command that runs with time,
+        such as the clock of a gait, runs on. None releases it. `env_ids` are the rows of the n
+        envs; None: all.
         """
 
     def observe_external(self, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_] | None = None) -> None:

@@ -157,28 +157,37 @@ impl Sim {
     /// releases it: the next draw follows its time.
     ///
     /// # Errors
-    /// A command that the task does not give; the wrong number of numbers, or one that is not
-    /// finite or beyond 1000.
+    /// As [`pin_command_of`](Self::pin_command_of).
     pub fn pin_command(&mut self, name: &str, numbers: Option<&[f32]>) -> Result<(), Error> {
-        let terms = &self.task().command_terms;
-        let Some(bit) = terms.iter().position(|term| term.name == name) else {
-            let problem = format!("{} gives no command `{name}`", self.task().config.name);
-            let known = did_you_mean(name, terms.iter().map(|term| term.name.as_str()), "commands");
-            return Err(Error::argument("command", problem, known));
-        };
-        let (range, columns) = (terms[bit].range.clone(), terms[bit].columns);
+        let envs: Vec<usize> = (0..self.num_envs()).collect();
+        self.pin_command_of(&envs, name, numbers)
+    }
+
+    /// The same for some envs, row-major `[envs, columns]`; those of other envs stay as they are.
+    ///
+    /// # Errors
+    /// A command that the task does not give; the wrong number of numbers, or one that is not
+    /// finite or beyond 1000; an env that does not exist or is there twice.
+    pub fn pin_command_of(&mut self, envs: &[usize], name: &str, numbers: Option<&[f32]>) -> Result<(), Error> {
+        let places = self.places("set_command: env_ids", envs)?;
+        let bit = self.place_of_command(name)?;
+        let term = &self.task().command_terms[bit];
+        let (range, columns) = (term.range.clone(), term.columns);
         let is_allowed = |x: &f32| f64::from(x.abs()) <= MAX_COMMAND;
         if let Some(numbers) = numbers
-            && (numbers.len() != columns.len() * self.num_envs() || !numbers.iter().all(is_allowed))
+            && (numbers.len() != columns.len() * envs.len() || !numbers.iter().all(is_allowed))
         {
-            let problem = format!("not {} rows of {} within {MAX_COMMAND}", self.num_envs(), columns.join(", "));
+            let problem = format!("not {} rows of {} within {MAX_COMMAND}", envs.len(), columns.join(", "));
             return Err(Error::argument("command", problem, "pass one row per env"));
         }
         let world = self.world_mut();
         for (env, mut command) in world.query::<(&EnvId, &mut CommandNumbers)>().iter_mut(world) {
+            let Some(row) = places[env.0 as usize] else {
+                continue;
+            };
             match numbers {
                 Some(numbers) => {
-                    let at = columns.len() * env.0 as usize;
+                    let at = columns.len() * row;
                     command.numbers[range.clone()].copy_from_slice(&numbers[at..at + columns.len()]);
                     command.pinned |= 1 << bit;
                 }
@@ -186,6 +195,34 @@ impl Sim {
             }
         }
         Ok(())
+    }
+
+    /// Present numbers of a command other than the velocity, row-major `[num_envs, columns]`.
+    ///
+    /// # Errors
+    /// A command that the task does not give.
+    pub fn command_numbers(&self, name: &str) -> Result<Vec<f32>, Error> {
+        let term = &self.task().command_terms[self.place_of_command(name)?];
+        let (range, columns) = (term.range.clone(), term.columns.len());
+        let mut numbers = vec![0.0; columns * self.num_envs()];
+        let world = self.world();
+        if let Some(mut query) = world.try_query::<(&EnvId, &CommandNumbers)>() {
+            for (env, command) in query.iter(world) {
+                let at = columns * env.0 as usize;
+                numbers[at..at + columns].copy_from_slice(&command.numbers[range.clone()]);
+            }
+        }
+        Ok(numbers)
+    }
+
+    /// Place of a command among those other than the velocity.
+    fn place_of_command(&self, name: &str) -> Result<usize, Error> {
+        let terms = &self.task().command_terms;
+        terms.iter().position(|term| term.name == name).ok_or_else(|| {
+            let problem = format!("{} gives no command `{name}`", self.task().config.name);
+            let known = did_you_mean(name, terms.iter().map(|term| term.name.as_str()), "commands");
+            Error::argument("command", problem, known)
+        })
     }
 }
 

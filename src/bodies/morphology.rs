@@ -51,6 +51,8 @@ pub struct MorphologyModel {
     pub feet: Vec<usize>,
     /// Height of the hips above the base's frame in the default pose, m.
     pub hip_height: f32,
+    /// Centres of the feet in the default pose, base axes about the base's origin, m.
+    pub default_feet: Vec<[f32; 3]>,
     /// Column of each foot in the batch.
     pub foot_columns: Vec<usize>,
     /// Networks that drive joints, in the order of their groups' names.
@@ -162,6 +164,9 @@ impl MorphologyModel {
         let hips: Vec<f64> =
             legs.filter_map(|leg| leg.joints.first()).map(|hip| links[hip.joint + 1].translation.z).collect();
         let hip_height = hips.iter().sum::<f64>() / hips.len().max(1) as f64;
+        let feet = roles.foot_body.iter().zip(&roles.foot_point);
+        let feet = feet.map(|(&body, &point)| links[model.bodies[body].link].transform_point(point));
+        let default_feet = feet.map(|place| place.to_array().map(|x| x as f32)).collect();
         let mut delays: BTreeMap<&str, ([u32; 2], Vec<usize>)> = BTreeMap::new();
         for (slot, (group, actuator)) in actuators.iter().enumerate() {
             if actuator.delay[1] > 0 {
@@ -188,6 +193,7 @@ impl MorphologyModel {
             body_groups,
             feet: roles.foot_body.clone(),
             hip_height: hip_height as f32,
+            default_feet,
             networks,
             delays,
             max_action_delay: 0,
@@ -204,6 +210,11 @@ impl MorphologyModel {
     /// The robot's name in configs.
     pub fn name(&self) -> &str {
         &self.config.name
+    }
+
+    /// Height of the base above level ground in the default pose, m.
+    pub fn default_height(&self) -> f32 {
+        self.stance.spawn_height - self.config.reset.spawn_margin as f32
     }
 
     /// Largest delay of any target, physics steps.
@@ -676,7 +687,7 @@ impl MorphologyModel {
                 .collect(),
             lower: p.lower.to_vec(),
             upper: p.upper.to_vec(),
-            base_height: self.stance.spawn_height - self.config.reset.spawn_margin as f32,
+            base_height: self.default_height(),
             hip_height: self.hip_height,
             feet: self.feet.iter().map(|&body| self.model.bodies[body].name.clone()).collect(),
             mirror: self.mirrored_slots(),

@@ -9,6 +9,7 @@ use super::{CommandKind, CommandSpec, CommandedRobot};
 use crate::components::EnvRng;
 use crate::config::quantities::{Frequency, Turns};
 use crate::config::values;
+use crate::dynamics::elementary::exp;
 use crate::dynamics::lanes::Real;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
@@ -100,4 +101,13 @@ pub(in crate::systems) fn foot_clock(r: &RobotView, foot: usize) -> f32 {
     let at = at - at.floor();
     let stance = duration.clamp(0.01, 0.99);
     if at < stance { 0.5 * at / stance } else { 0.5 + 0.5 * (at - stance) / (1.0 - stance) }
+}
+
+/// Share of standing that a foot's clock asks for, 0 to 1: a step function smoothed over 7 % of a
+/// cycle, as in Walk These Ways, with the logistic curve nearest to the normal distribution.
+#[inline(always)]
+pub(in crate::systems) fn desired_contact(clock: f32) -> f32 {
+    const SMOOTHING: f32 = 0.07;
+    let cdf = |x: f32| 1.0 / (1.0 + exp(-1.702 * x / SMOOTHING));
+    cdf(clock) * (1.0 - cdf(clock - 0.5)) + cdf(clock - 1.0) * (1.0 - cdf(clock - 1.5))
 }

@@ -5,8 +5,10 @@
 //! names it in `[commands]`. The velocity command stands in the component [`Command`], all others
 //! in [`CommandNumbers`].
 
+pub(super) mod foot_placement;
 pub(super) mod gait;
 pub(super) mod heading;
+pub(super) mod jump;
 pub(super) mod pose;
 pub(super) mod position;
 mod velocity;
@@ -44,6 +46,8 @@ pub(super) fn register(registry: &mut Registry) {
     heading::register(registry);
     position::register(registry);
     gait::register(registry);
+    foot_placement::register(registry);
+    jump::register(registry);
     let description = "no command; a task that asks for nothing may say so";
     registry.command("none", CommandSpec { columns: &[], description }, |NoParams {}, _| Ok(Nothing));
 }

@@ -51,7 +51,7 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 fn prepare(p: PoseParams, robot: &MorphologyModel) -> Result<PoseCommand, (String, String, String)> {
-    let default = robot.stance.spawn_height - robot.config.reset.spawn_margin as f32;
+    let default = robot.default_height();
     let height = p.height.unwrap_or(p.height_share.map(|share| robot.least_height(share, default)));
     Ok(PoseCommand([height, p.roll, p.pitch]))
 }

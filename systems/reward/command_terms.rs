@@ -10,7 +10,7 @@ use crate::config::quantities::{Gain, Width};
 use crate::config::values;
 use crate::dynamics::elementary::{exp, tanh_positive};
 use crate::dynamics::lanes::Real;
-use crate::systems::command::gait::{GAIT, foot_clock};
+use crate::systems::command::gait::{GAIT, desired_contact, foot_clock};
 use crate::systems::command::heading::{HEADING, heading_error};
 use crate::systems::command::pose::POSE;
 use crate::systems::command::position::{POSITION, position_error};
@@ -108,15 +108,6 @@ fn heading_command_error_abs(p: &HeadingOf, r: &RobotView) -> f32 {
 #[inline(always)]
 fn position_command_error_tanh(p: &Std, r: &RobotView) -> f32 {
     1.0 - tanh_positive(norm(&position_error(r)[..2]) / p.std)
-}
-
-/// Share of standing that a foot's clock asks for, 0 to 1: a step function smoothed over 7 % of a
-/// cycle, as in Walk These Ways, with the logistic curve nearest to the normal distribution.
-#[inline(always)]
-fn desired_contact(clock: f32) -> f32 {
-    const SMOOTHING: f32 = 0.07;
-    let cdf = |x: f32| 1.0 / (1.0 + exp(-1.702 * x / SMOOTHING));
-    cdf(clock) * (1.0 - cdf(clock - 0.5)) + cdf(clock - 1.0) * (1.0 - cdf(clock - 1.5))
 }
 
 /// Cost of pressing on feet that are to swing: a mean over the feet, 0 to -1.

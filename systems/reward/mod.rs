@@ -4,7 +4,9 @@ mod command_terms;
 mod contact_terms;
 mod gait_terms;
 mod joint_terms;
+mod jump_terms;
 mod motion_terms;
+mod placement_terms;
 mod posture_terms;
 mod scaled_terms;
 
@@ -83,6 +85,8 @@ pub(super) fn register(registry: &mut Registry) {
     contact_terms::register(registry);
     gait_terms::register(registry);
     command_terms::register(registry);
+    placement_terms::register(registry);
+    jump_terms::register(registry);
     posture_terms::register(registry);
     scaled_terms::register(registry);
 }

@@ -113,7 +113,7 @@ fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
 }
 
 fn base_height(p: Height, robot: &MorphologyModel) -> Result<f32, (String, String, String)> {
-    let default = robot.stance.spawn_height - robot.config.reset.spawn_margin as f32;
+    let default = robot.default_height();
     Ok(p.target_height.unwrap_or(default))
 }
 

@@ -604,15 +604,16 @@ fn check_command(
     params: &Table,
     element: &str,
 ) -> Result<(), ConfigError> {
-    let Some(default) = registry.needs.get(term) else {
+    let Some(needed) = registry.needs.get(term) else {
         return Ok(());
     };
     let named = params.get("command_name").and_then(Value::as_str);
-    let command = named.unwrap_or(default);
     // an unknown name is refused with the term's parameters
-    if config.commands.has(command) || !registry.commands.contains_key(command) {
+    let is_absent = |command: &&str| !config.commands.has(command) && registry.commands.contains_key(*command);
+    let needed: Vec<&str> = named.map_or_else(|| needed.clone(), |named| vec![named]);
+    let Some(command) = needed.into_iter().find(is_absent) else {
         return Ok(());
-    }
+    };
     let given: Vec<&str> = config.commands.names().collect();
     let given = if given.is_empty() { "no command".into() } else { given.join(", ") };
     let problem = format!("the term `{term}` follows the command `{command}`, and the task gives {given}");

@@ -53,7 +53,7 @@ pub struct Registry {
     pub(super) commands: BTreeMap<&'static str, RegisteredCommand>,
     /// Commands that reward and observation terms follow, unless their `command_name` names
     /// another.
-    pub(super) needs: BTreeMap<&'static str, &'static str>,
+    pub(super) needs: BTreeMap<&'static str, Vec<&'static str>>,
 }
 
 /// A kind of command, and how it is made; the velocity has a place of its own in a task.
@@ -285,7 +285,7 @@ impl Registry {
     /// Makes tasks that name a reward or observation term give the command that it follows. A
     /// `command_name` among the term's parameters names another command.
     pub fn needs_command(&mut self, term: &'static str, command: &'static str) {
-        self.needs.insert(term, command);
+        self.needs.entry(term).or_default().push(command);
     }
 
     /// Names and descriptions of all kinds of commands.

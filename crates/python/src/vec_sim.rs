@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
 use numpy::{
-    Element, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2, PyUntypedArray,
-    PyUntypedArrayMethods,
+    Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2,
+    PyUntypedArray, PyUntypedArrayMethods,
 };
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PySlice};
@@ -18,7 +18,7 @@ use super::exceptions::{
 use super::rows::{StateArguments, env_ids, numbers};
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
-use polypod::config::{POLICY_GROUP, VelocityCommandConfig};
+use polypod::config::{POLICY_GROUP, VELOCITY_COMMAND, VelocityCommandConfig};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
@@ -881,19 +881,45 @@ impl VecSim {
         self.sim.run(py, |sim| sim.set_episode_lengths(lengths))?.map_err(|error| to_python(py, error))
     }
 
+    #[doc = docstring!("VecSim.command_columns")]
+    fn command_columns(&self) -> BTreeMap<&str, Vec<&'static str>> {
+        let terms = self.sim.task().command_terms.iter();
+        let mut columns: BTreeMap<_, _> = terms.map(|term| (term.name.as_str(), term.columns.to_vec())).collect();
+        if self.sim.task().has_velocity_command() {
+            columns.insert(VELOCITY_COMMAND, vec!["lin_vel_x", "lin_vel_y", "ang_vel_z"]);
+        }
+        columns
+    }
+
+    #[doc = docstring!("VecSim.command_of")]
+    fn command_of<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        if name == VELOCITY_COMMAND && self.sim.task().has_velocity_command() {
+            return self.arrays.command.bind(py).call_method0("copy");
+        }
+        let numbers = self.sim.command_numbers(name).map_err(|error| to_python(py, error))?;
+        let shape = [self.sim.num_envs(), numbers.len() / self.sim.num_envs().max(1)];
+        Ok(numbers.into_pyarray(py).reshape(shape)?.into_any())
+    }
+
     #[doc = docstring!("VecSim.set_command")]
-    #[pyo3(signature = (command, env_ids=None))]
+    #[pyo3(signature = (command, env_ids=None, *, name=VELOCITY_COMMAND))]
     fn set_command(
         &mut self,
         py: Python<'_>,
         command: Option<&Bound<'_, PyAny>>,
         env_ids: Option<&Bound<'_, PyAny>>,
+        name: &str,
     ) -> PyResult<()> {
         let envs = self::env_ids("set_command", env_ids, self.sim.num_envs())?;
-        let shape = [envs.len(), 3];
+        let of_other = self.sim.task().command_terms.iter().find(|term| term.name == name);
+        let shape = [envs.len(), of_other.map_or(3, |term| term.columns.len())];
         let command = command.map(|c| array::<f32, numpy::Ix2>("command", c, "float32", &shape)).transpose()?;
         let command = command.as_ref().map(|c| c.as_slice()).transpose()?;
-        self.sim.run(py, |sim| sim.set_commands_of(&envs, command))?.map_err(|error| to_python(py, error))?;
+        let set = self.sim.run(py, |sim| match name {
+            VELOCITY_COMMAND => sim.set_commands_of(&envs, command),
+            _ => sim.pin_command_of(&envs, name, command),
+        })?;
+        set.map_err(|error| to_python(py, error))?;
         self.publish_commands(py)
     }
 
