@@ -354,6 +354,9 @@ fn a_task_refuses_terms_of_commands_that_it_lacks() {
     let lines = "[rewards.getup]\ntrack_lin_vel_xy_exp = { weight = 1.0, std = 0.5 }";
     let said = ["track_lin_vel_xy_exp", "`base_velocity`", "the task gives none"];
     refused(common::extended_task("velocityless", "getup_flat", lines), &[], &said);
+    refused(flat(), &["commands.base_velocty.lin_vel_x=[0.0, 1.0]"], &["base_velocty", "did you mean `base_velocity`"]);
+    refused(flat(), &["commands.jumps.time=[0.5, 1.0]"], &["commands.jumps", "did you mean `jump`"]);
+    refused(flat(), &["commands.jump.tim=[0.5, 1.0]"], &["commands.jump", "tim"]);
     refused(flat(), &["commands.headings={}"], &["commands.headings", "did you mean `heading`"]);
     refused(flat(), &["commands.pose={rol=[0.0, 1.0]}"], &["commands.pose", "rol"]);
     refused(flat(), &["commands.gait={frequency=[-1.0, 1.0]}"], &["commands.gait.frequency", "negative"]);

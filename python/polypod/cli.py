@@ -18,6 +18,7 @@ from polypod.commands.add import Add
 from polypod.commands.bench import Bench
 from polypod.commands.bodies import Bodies
 from polypod.commands.check import Check
+from polypod.commands.compare import Compare
 from polypod.commands.deploy import Deploy
 from polypod.commands.eval import Eval
 from polypod.commands.export import Export
@@ -37,6 +38,7 @@ Command = (
     | Annotated[Adapt, tyro.conf.subcommand("adapt")]
     | Annotated[SweepOf, tyro.conf.subcommand("sweep")]
     | Annotated[Eval, tyro.conf.subcommand("eval")]
+    | Annotated[Compare, tyro.conf.subcommand("compare")]
     | Annotated[Export, tyro.conf.subcommand("export")]
     | Annotated[Deploy, tyro.conf.subcommand("deploy")]
     | Annotated[Sim2sim, tyro.conf.subcommand("sim2sim")]
@@ -151,7 +153,7 @@ _TRAIN_EXTRA = {
     "torch": "torch",
 }
 """Modules of the extra train and their packages."""
-_WITH_POLICIES = ("adapt", "eval", "export", "film", "play", "robustness", "sim2sim", "sweep", "train")
+_WITH_POLICIES = ("adapt", "compare", "eval", "export", "film", "play", "robustness", "sim2sim", "sweep", "train")
 """Commands that need the extra train."""
 
 

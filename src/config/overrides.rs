@@ -79,7 +79,8 @@ fn parse_value(path: &str, text: &str) -> Result<Option<Value>, ConfigError> {
 
 /// Follows `keys` down from `node`.
 ///
-/// A group of observations that the task lacks is made where `last` appends a term to it.
+/// A command that the task lacks is made, and so is a group of observations where `last` appends a
+/// term to it.
 fn descend<'a>(
     mut node: &'a mut Value,
     keys: &[&str],
@@ -90,6 +91,9 @@ fn descend<'a>(
         node = match node {
             Value::Table(table) => {
                 if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
+                    table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                }
+                if *walked == ["commands"] {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
                 }
                 if *walked == ["observations"] && last == APPEND {

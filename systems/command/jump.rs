@@ -81,7 +81,7 @@ impl CommandKind for JumpCommand {
 /// The base of a jump at an instant.
 #[derive(Clone, Copy)]
 pub(in crate::systems) struct Jump {
-    /// Whether all feet are to be off the ground.
+    /// Whether the robot flies: no foot shall stand.
     pub flies: bool,
     /// Rise of the base above its default height, m.
     pub rise: f32,

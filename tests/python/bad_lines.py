@@ -88,6 +88,12 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         | {"--json": OUTPUTS, "--plot": OUTPUTS, "--quadrupeds": NAMES, "--commands": NAMES}
         | {"--terms": FILES},
     ),
+    "compare": (
+        (Positional(FLAT_POLICY), Positional("flat"), "--robots", "spot", "--num-envs", "2", "--steps", "1"),
+        _WITH_TASK
+        | {"": FILES, "--num-seeds": COUNTS, "--num-envs": COUNTS, "--episodes": COUNTS, "--steps": COUNTS}
+        | {"--json": OUTPUTS, "--commands": NAMES},
+    ),
     "export": (
         (*_CHECKPOINT, "--formats", "onnx", "--out", "out"),
         {"--checkpoint": FILES, "--out": OUTPUTS, "--robots": NAMES, "--robot": NAMES, "--formats": NAMES},

@@ -487,6 +487,42 @@ def test_commands_of_some_envs_are_pinned():
     np.testing.assert_allclose(env.sim.command[4], [0.3, 0.0, 0.1])
 
 
+def test_every_command_of_a_task_can_be_read_and_pinned():
+    commands = {"heading": {"heading": [1.0, 2.0], "resampling_time_s": 0.02}, "jump": {"time": [0.5, 1.0]}}
+    env = batch(4, robots=["unitree_go2"], overrides={"commands": commands})
+    sim = env.sim
+    assert sim.command_columns() == {
+        "base_velocity": ["lin_vel_x", "lin_vel_y", "ang_vel_z"],
+        "heading": ["heading"],
+        "jump": ["time", "height", "length"],
+    }
+    np.testing.assert_array_equal(sim.command_of("base_velocity"), sim.command)
+    drawn_headings = sim.command_of("heading")
+    assert drawn_headings.shape == (4, 1)
+    assert ((drawn_headings >= 1.0) & (drawn_headings <= 2.0)).all()
+    sim.set_command(np.array([[0.5], [0.25]], np.float32), env_ids=[3, 1], name="heading")
+    env.step(drawn(env, 0))
+    np.testing.assert_array_equal(sim.command_of("heading")[[3, 1], 0], [0.5, 0.25])
+    assert (sim.command_of("heading")[[0, 2]] >= 1.0).all()
+    # the time of a pinned jump runs on
+    sim.set_command(np.full((4, 3), [-0.1, 0.2, 0.0], np.float32), name="jump")
+    for step in range(3):
+        env.step(drawn(env, step))
+    np.testing.assert_allclose(sim.command_of("jump"), np.full((4, 3), [-0.04, 0.2, 0.0]), atol=1e-6)
+    sim.set_command(None, name="heading")
+    env.step(drawn(env, 4))
+    assert (sim.command_of("heading") >= 1.0).all()
+    # a copy is handed out
+    sim.command_of("heading")[:] = 0.0
+    assert (sim.command_of("heading") >= 1.0).all()
+    with pytest.raises(ConfigError, match="no command `headin`.*did you mean `heading`"):
+        sim.command_of("headin")
+    with pytest.raises(ConfigError, match="no command `gait`"):
+        sim.set_command(None, name="gait")
+    with pytest.raises((ConfigError, ValueError), match=r"\[4, 1\]"):
+        sim.set_command(np.zeros((4, 3), np.float32), name="heading")
+
+
 def test_writing_into_what_was_handed_out_is_an_error():
     env = batch(copy=False)
     observation, reward, terminated, truncated, _ = env.step(drawn(env, 0))
