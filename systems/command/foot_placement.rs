@@ -52,7 +52,7 @@ pub(super) fn register(registry: &mut Registry) {
     let description = "width and length of the stance as factors of the default pose's, height of the swing, m";
     registry.command(FOOT_PLACEMENT, CommandSpec { columns, description }, prepare);
     let description = "width and length of the stance and height of the swing that are commanded";
-    let spec = TermSpec::new(TermKind::Scalar, ", m", description);
+    let spec = TermSpec::new(TermKind::Scalar, "factors, m", description);
     registry.observation("foot_placement_commands", 3, spec, |_: &NoParams, r, out| {
         out.copy_from_slice(&r.commands.first::<3>(FOOT_PLACEMENT));
     });

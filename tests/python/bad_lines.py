@@ -207,6 +207,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--out", "map.npz", "--task", "velocity_rough", "--set", "scene.terrain.num_rows=1"),
         {"--out": [*OUTPUTS, "folder/x.npz/y"], "--task": NAMES, "--set": OVERRIDES},
     ),
+    "terrain heights": (
+        ("--heights", "heights.npy", "--out", "map.toml"),
+        {"--out": OUTPUTS, "--task": NAMES, "--heights": FILES, "--cell": FLOATS, "--range": FLOATS},
+    ),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
@@ -226,6 +230,7 @@ _POLYPOD_SWITCHES = {
     "": ("--version", "-V"),
     "list": ("--json", "--no-json"),
     "train": ("--headless", "--no-headless"),
+    "compare": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--markdown", "--no-markdown"),
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--gate", "--no-gate"),
     "export": ("--fold", "--no-fold"),
     "play": ("--headless", "--no-headless", "--meshes", "--no-meshes"),

@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 
@@ -51,6 +52,7 @@ def place(tmp_path):
     for kind in ("pt", "toml", "onnx", "urdf"):
         (tmp_path / f"empty.{kind}").write_bytes(b"")
     (tmp_path / "sweep.toml").write_text(SWEEP)
+    np.save(tmp_path / "heights.npy", np.zeros((3, 3)))
     return tmp_path
 
 

@@ -7,6 +7,7 @@ names the draw, which `random_input.line(program, index)` makes again.
 
 import random
 
+import numpy as np
 import pytest
 
 import random_input
@@ -29,6 +30,7 @@ def place(tmp_path):
     for name in ("binary", "binary.pt", "manifest.json"):
         (tmp_path / name).write_bytes(random.Random(0).randbytes(5000))
     (tmp_path / "empty.pt").write_bytes(b"")
+    np.save(tmp_path / "heights.npy", np.zeros((3, 3)))
     return tmp_path
 
 

@@ -510,16 +510,17 @@ def test_every_command_of_a_task_can_be_read_and_pinned():
         env.step(drawn(env, step))
     np.testing.assert_allclose(sim.command_of("jump"), np.full((4, 3), [-0.04, 0.2, 0.0]), atol=1e-6)
     sim.set_command(None, name="heading")
-    env.step(drawn(env, 4))
+    for step in range(4):
+        env.step(drawn(env, step))
     assert (sim.command_of("heading") >= 1.0).all()
     # a copy is handed out
     sim.command_of("heading")[:] = 0.0
     assert (sim.command_of("heading") >= 1.0).all()
-    with pytest.raises(ConfigError, match="no command `headin`.*did you mean `heading`"):
+    with pytest.raises(ConfigError, match=r"no command `headin`.*did you mean `heading`"):
         sim.command_of("headin")
     with pytest.raises(ConfigError, match="no command `gait`"):
         sim.set_command(None, name="gait")
-    with pytest.raises((ConfigError, ValueError), match=r"\[4, 1\]"):
+    with pytest.raises((ConfigError, ValueError), match=r"not \(4, 1\)"):
         sim.set_command(np.zeros((4, 3), np.float32), name="heading")
 
 
