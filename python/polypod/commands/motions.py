@@ -14,8 +14,9 @@ Action = Literal["list", "show", "draw", "import", "retarget", "eval"]
 
 @dataclasses.dataclass(frozen=True)
 class Motions:
-    """Reference motions of humanoids: list, show, draw, import and retarget them, and measure how
-    well a policy tracks them. See docs/motions.md.
+    """Draw, import and retarget reference motions, and measure policies that track them.
+
+    They are motions of humanoids, see docs/motions.md.
 
     Exit code 3 where eval finds a motion that is not followed in 95 % of the episodes.
     """
@@ -45,6 +46,8 @@ class Motions:
     """With eval: episodes of each robot and motion."""
     seed: int = 0
     """With eval: seed of the noise with which episodes begin."""
+    mujoco: bool = False
+    """With eval: in MuJoCo in the place of polypod, from the same states; needs the extra bench."""
     threads: Count = None
     """With eval: threads of the simulator. Default: one per core."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -105,8 +108,10 @@ class Motions:
     def _eval(self, checkpoint: str) -> int:
         from polypod import runs
         from polypod.evaluation import tracking
+        from polypod.sim2sim import on_motions
 
-        found = tracking.measure_checkpoint(
+        measure = on_motions.measure_checkpoint if self.mujoco else tracking.measure_checkpoint
+        found = measure(
             Path(runs.resolve(Path(checkpoint), Path("logs"))),
             names(self.robots),
             names(self.clips),
@@ -147,8 +152,8 @@ def _figures(made: Any) -> list[str]:
     fastest = int(np.abs(joints).max(axis=0).argmax())
     return [
         f"{made.name} of {body.name}: {made.frames} frames at {made.fps:g} Hz, {made.duration_s:.1f} s",
-        f"base: height {made.base_pos[:, 2].min():.3f} to {made.base_pos[:, 2].max():.3f} m, ends {away[0]:+.2f} m forward "
-        f"and {away[1]:+.2f} m left, at most {np.linalg.norm(linear, axis=1).max():.2f} m/s",
+        f"base: height {made.base_pos[:, 2].min():.3f} to {made.base_pos[:, 2].max():.3f} m, ends {away[0]:+.2f} m "
+        f"forward and {away[1]:+.2f} m left, at most {np.linalg.norm(linear, axis=1).max():.2f} m/s",
         f"feet: {1000.0 * gap.min():.0f} to {1000.0 * gap.max():.0f} mm above the ground; in the air for "
         f"{(gap.min(axis=1) > 0.01).mean():.0%} of the time",
         f"joints: at most {np.abs(joints).max():.1f} rad/s ({made.joint_names[fastest]})",
@@ -166,6 +171,7 @@ _BELONGS: dict[str, tuple[str, ...]] = {
     "clips": ("eval",),
     "episodes": ("eval",),
     "seed": ("eval",),
+    "mujoco": ("eval",),
     "threads": ("eval",),
     "json": ("eval",),
     "set": ("eval",),

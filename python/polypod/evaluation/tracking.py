@@ -1,20 +1,22 @@
 """How well a policy tracks motions: errors of the key links, clip by clip."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.arrays import Array
 from polypod.evaluation.rollout import play_task, undisturbed
 from polypod.motions import library
 from polypod.motions.body import body_of
-from polypod.motions.reference import Reference, errors
+from polypod.motions.options import parse
+from polypod.motions.reference import Errors, Reference, errors
 from polypod.networks.policies import Policy, reset
-from polypod.python_terms import TermSim, Terms
+from polypod.python_terms import Terms, TermSim
 from polypod.runs.own_terms import terms_of_run
 from polypod.vector_env import simulator
 
@@ -26,7 +28,6 @@ SHARE = 0.95
 """Share of an episode's control steps at which both must hold."""
 NOISE = 0.2
 """Share of the training's noise with which episodes begin."""
-MAX_STEPS = 10_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,101 +47,127 @@ class ClipResult:
     """Distance of each key link, m, with the reference moved to the base's place and heading."""
 
 
-def measure(
-    policy: Policy,
-    task: str,
-    robots: Sequence[str],
-    terms: Terms,
-    *,
-    episodes: int = 16,
-    seed: int = 0,
-    threads: int | None = None,
-    overrides: Sequence[str] = (),
-    trained: Sequence[str] = (),
-    slots: Sequence[str] = (),
-) -> dict[str, dict[str, ClipResult]]:
-    """Tracks each clip from its start, by robot and clip.
+@dataclasses.dataclass
+class Seen:
+    """All that was seen of one robot."""
 
-    Args:
-        policy: see `Policy`.
-        task: name or alias of the task.
-        robots: names or paths of configs.
-        terms: those of the run.
-        episodes: of each robot and clip.
-        seed: of the noise with which they begin.
-        threads: of the simulator; None: one per core.
-        overrides: `key=value` changes, on top of all others.
-        trained: `key=value` changes of the training.
-        slots: names of the policy's actions.
+    reference: Reference
+    clip: npt.NDArray[np.int64]
+    """[envs], the clip of each."""
+    failed: npt.NDArray[np.bool_]
+    running: npt.NDArray[np.bool_]
+    parts: list[tuple[Array, Array, Array, Array]] = dataclasses.field(default_factory=list)
 
-    Raises:
-        ConfigError: for a run that tracks no motions, and for too many control steps.
-    """
-    if terms.options is None:
-        raise _core.ConfigError("the run tracks no motions by the terms of tracking tasks; measure it with polypod eval")
-    name = play_task(task)
-    changes = [*trained, *undisturbed(name, trained), f"motions.reset.play_noise={NOISE}", *overrides]
-    clips = list(terms.options["clips"])
-    for change in overrides:
-        if change.startswith("motions.clips="):
-            raise _core.ConfigError(f"--set {change}: name the clips with --clips")
-    longest = max(library.duration(clip) for clip in clips)
-    changes.append(f"sim.episode_length_s={max(longest + 1.0, 10.0)}")
-    if not 1 <= episodes <= 10_000:
-        raise _core.ConfigError(f"episodes = {episodes} must be from 1 to 10000")
-    sim = simulator(
-        terms,
-        name,
-        episodes * len(clips) * len(robots),
-        play=True,
-        robots=list(robots),
-        seed=seed,
-        threads=threads,
-        overrides=changes,
-        autoreset="disabled",
-        slots=list(slots),
-    )
-    if not isinstance(sim, TermSim):
-        raise _core.ConfigError(f"{sim.task_name} tracks no motions")
-    frames = sim.memory("motion_frame")[:, 0]
-    clip_of = sim.memory("motion_clip")[:, 0].copy()
-    references = {
-        robot: Reference.of(body_of(robot), library.clips_of(clips, body_of(robot).source), sim.step_dt)
-        for robot in sim.robots
-    }
-    running = np.ones(sim.num_envs, dtype=np.bool_)
-    failed = np.zeros(sim.num_envs, dtype=np.bool_)
-    seen: dict[str, list[tuple[Array, Array, Array, Array]]] = {robot: [] for robot in sim.robots}
-    reset(policy)
-    for _ in range(int(round(longest / sim.step_dt))):
-        sim.step(policy(sim.observation))
-        for robot, reference in references.items():
+    def add(self, found: Errors, fell: npt.NDArray[np.bool_], over: npt.NDArray[np.bool_]) -> None:
+        """Notes a control step of the envs that still run, and which of them it ends."""
+        at = np.flatnonzero(self.running)
+        distance = np.linalg.norm(found.link_pos[at], axis=-1)
+        base = np.linalg.norm(found.anchor_pos[at], axis=-1)
+        self.parts.append((at, distance, base, np.degrees(found.anchor_ori[at])))
+        self.failed |= self.running & fell
+        self.running &= ~(fell | over)
+
+
+class Trial:
+    """Episodes of a policy: each robot tracks each clip from its start."""
+
+    def __init__(
+        self,
+        manifest: Mapping[str, Any],
+        robots: Sequence[str],
+        terms: Terms,
+        *,
+        episodes: int = 16,
+        seed: int = 0,
+        threads: int | None = None,
+        overrides: Sequence[str] = (),
+    ) -> None:
+        """Begins the episodes.
+
+        Args:
+            manifest: of the run.
+            robots: names or paths of configs.
+            terms: those of the run.
+            episodes: of each robot and clip.
+            seed: of the noise with which they begin.
+            threads: of the simulator; None: one per core.
+            overrides: `key=value` changes, on top of the run's.
+
+        Raises:
+            ConfigError: for options that cannot be used.
+        """
+        if not 1 <= episodes <= 10_000:
+            raise _core.ConfigError(f"episodes = {episodes} must be from 1 to 10000")
+        for change in overrides:
+            if change.startswith("motions.clips"):
+                raise _core.ConfigError(f"--set {change}: name the motions with --clips")
+        name, trained = play_task(manifest["task"]), manifest["overrides"]
+        options = dict(terms.options or {})
+        clips = list(options["clips"])
+        longest = max(library.duration(clip) for clip in clips)
+        length = f"sim.episode_length_s={longest + 1.0}"
+        noise = f"motions.reset.play_noise={NOISE}"
+        sim = simulator(
+            terms,
+            name,
+            episodes * len(clips) * len(robots),
+            play=True,
+            robots=list(robots),
+            seed=seed,
+            threads=threads,
+            overrides=[*trained, *undisturbed(name, trained), length, noise, *overrides],
+            autoreset="disabled",
+            slots=list(manifest["canonical_joint_names"]),
+        )
+        if not isinstance(sim, TermSim):
+            raise _core.ConfigError(f"{sim.task_name} tracks no motions; use polypod eval")
+        self.sim = sim
+        self.options = parse(dict(sim.terms.options or {}), "motions")
+        self.steps = round(longest / sim.step_dt)
+        self.seen: dict[str, Seen] = {}
+        for robot in sim.robots:
             rows = slice(*sim.env_ids(robot))
-            links = sim.links(robot)
-            parts = [links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")]
-            found = errors(reference, frames[rows], *parts)
-            at = np.flatnonzero(running[rows])
-            distance = np.linalg.norm(found.link_pos, axis=-1)
-            base = np.linalg.norm(found.anchor_pos, axis=-1)
-            seen[robot].append((at, distance[at], base[at], np.degrees(found.anchor_ori[at])))
-        failed |= running & sim.terminated
-        running &= ~(sim.terminated | sim.truncated)
-        if not running.any():
-            break
-    results: dict[str, dict[str, ClipResult]] = {}
-    for robot, reference in references.items():
-        rows = slice(*sim.env_ids(robot))
-        results[robot] = _results(reference, clip_of[rows], failed[rows], seen[robot])
-    return results
+            body = body_of(robot)
+            reference = Reference.of(body, library.clips_of(clips, body.source), sim.step_dt)
+            count = rows.stop - rows.start
+            clip = sim.view.memory["motion_clip"][rows, 0].copy()
+            ends = np.zeros(count, dtype=np.bool_), np.ones(count, dtype=np.bool_)
+            self.seen[robot] = Seen(reference, clip, *ends)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all episodes have ended."""
+        return not any(seen.running.any() for seen in self.seen.values())
+
+    def run(self, policy: Policy) -> dict[str, dict[str, ClipResult]]:
+        """Tracks the clips in polypod; by robot and clip."""
+        sim = self.sim
+        reset(policy)
+        for _ in range(self.steps):
+            sim.step(policy(sim.observation))
+            for robot, seen in self.seen.items():
+                rows = slice(*sim.env_ids(robot))
+                links = sim.links(robot)
+                parts = [links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")]
+                found = errors(seen.reference, sim.view.memory["motion_frame"][rows, 0], *parts)
+                seen.add(found, sim.terminated[rows], sim.truncated[rows])
+            if self.is_over:
+                break
+        return self.results()
+
+    def results(self) -> dict[str, dict[str, ClipResult]]:
+        """Figures of the episodes so far, by robot and clip."""
+        return {robot: _results(seen) for robot, seen in self.seen.items()}
 
 
-def _results(reference: Reference, clip: Array, failed: Array, seen: list[tuple[Array, ...]]) -> dict[str, ClipResult]:
-    env = np.concatenate([part[0] for part in seen]).astype(np.int64)
-    links, base, turn = (np.concatenate([part[i] for part in seen]) for i in (1, 2, 3))
+def _results(seen: Seen) -> dict[str, ClipResult]:
+    reference, clip, failed = seen.reference, seen.clip, seen.failed
+    env = np.concatenate([part[0] for part in seen.parts]).astype(np.int64)
+    links, base, turn = (np.concatenate([part[i] for part in seen.parts]) for i in (1, 2, 3))
     holds = (links <= LINK_BOUND).all(axis=1) & (turn <= BASE_BOUND)
     steps = np.bincount(env, minlength=len(clip))
     share = np.bincount(env, weights=holds, minlength=len(clip)) / np.maximum(steps, 1)
-    followed = (share >= SHARE) & ~failed.astype(np.bool_)
+    followed = (share >= SHARE) & ~failed
     results = {}
     for index, name in enumerate(reference.names):
         mine = np.flatnonzero(clip == index)
@@ -163,28 +190,30 @@ def _figures(values: Array) -> tuple[float, float]:
     return float(values.mean()), float(np.quantile(values, 0.95))
 
 
+def terms_of(manifest: Mapping[str, Any], name: str, clips: Sequence[str] | None) -> Terms:
+    """The terms of a run, with other clips if they are named. Raises ConfigError."""
+    terms = terms_of_run(manifest, None, name)
+    if terms is None or terms.options is None:
+        raise _core.ConfigError(f"{name} was trained in a task that tracks no motions; use polypod eval")
+    if clips is None:
+        return terms
+    return dataclasses.replace(terms, options={**terms.options, "clips": list(clips)})
+
+
 def measure_checkpoint(
     checkpoint: Path, robots: Sequence[str] | None = None, clips: Sequence[str] | None = None, **arguments: Any
 ) -> dict[str, dict[str, ClipResult]]:
-    """`measure` for a checkpoint or an ONNX file, whose manifest names task, robots and options.
+    """Tracks motions with a checkpoint or an ONNX file, in polypod.
 
-    `clips` take the place of the run's.
+    Args:
+        checkpoint: with a manifest that names task, robots and options.
+        robots: names or paths; None: those of the run.
+        clips: names or files; None: those of the run.
+        **arguments: of `Trial`.
     """
     from polypod.policy import load  # it builds on this package
 
     policy = load(checkpoint, None, robots)
     manifest = policy.manifest
-    terms = terms_of_run(manifest, None, str(checkpoint))
-    if terms is None or terms.options is None:
-        raise _core.ConfigError(f"{checkpoint} was trained in a task that tracks no motions; use polypod eval")
-    if clips is not None:
-        terms = dataclasses.replace(terms, options={**terms.options, "clips": list(clips)})
-    return measure(
-        policy.runner(),
-        manifest["task"],
-        manifest["robot_sources"] if robots is None else robots,
-        terms,
-        trained=manifest["overrides"],
-        slots=manifest["canonical_joint_names"],
-        **arguments,
-    )
+    sources = manifest["robot_sources"] if robots is None else robots
+    return Trial(manifest, sources, terms_of(manifest, str(checkpoint), clips), **arguments).run(policy.runner())

@@ -21,6 +21,8 @@ DAMPING = 1e-6
 """Square of the damping of least squares, in m^2 and rad^2."""
 TURN_WEIGHT = 0.2
 """Weight of a foot's orientation against its position, m/rad: about the length of a foot."""
+LOOSE_TURN_WEIGHT = 0.02
+"""The same for legs of fewer than six joints, whose feet keep their places and tilt."""
 LARGEST_STEP = 0.4
 """Largest change of a joint in one of them, rad."""
 TOLERANCE = 1e-5
@@ -47,7 +49,7 @@ class Body:
     """Canonical direction of each slot against the maker's."""
     lower: Array
     upper: Array
-    """[joints], rad."""
+    """Limits of the joints, [joints], rad."""
     default: Array
     """[joints], default pose, rad."""
     height: float
@@ -138,7 +140,8 @@ class Body:
         qpos = qpos.copy()
         legs = [self.leg_joints(side) for side in range(2)]
         at = [self.links.index(self.foot(side)) for side in range(2)]
-        weights = np.array([1.0, 1.0, 1.0, TURN_WEIGHT, TURN_WEIGHT, TURN_WEIGHT])
+        turn_weight = TURN_WEIGHT if min(len(leg) for leg in legs) >= 6 else LOOSE_TURN_WEIGHT
+        weights = np.array([1.0, 1.0, 1.0, turn_weight, turn_weight, turn_weight])
         for _ in range(ITERATIONS):
             sim.set_state(qpos=qpos)
             pos, quat = sim.link_pose()

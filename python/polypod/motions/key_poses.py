@@ -50,7 +50,7 @@ class Base(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Pose(msgspec.Struct, forbid_unknown_fields=True):
-    """A key pose. What it leaves out is as in the key poses around it."""
+    """A key pose. Numbers that it leaves out are as in the key poses around it."""
 
     time: Time
     base: Base = field(default_factory=Base)
@@ -156,7 +156,7 @@ def read(name: str) -> Drawing:
 
 
 def title(name: str) -> str:
-    """What a motion of the package shows."""
+    """Content of a motion of the package, in words."""
     return read(name).title
 
 

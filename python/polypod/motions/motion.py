@@ -24,8 +24,6 @@ ARRAYS = ("fps", "joint_names", "joint_pos", "base_pos", "base_quat")
 OPTIONAL = ("robot", "link_names", "link_pos", "link_quat")
 UNIT = 1e-3
 """Largest deviation of a quaternion's length from one."""
-LINK_ERROR = 0.02
-"""Largest distance between the links of a file and those that its joints give, m."""
 BASE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """First columns of a .csv, as in Unitree's retargeted LAFAN1."""
 
@@ -42,11 +40,15 @@ class Motion:
     joint_names: tuple[str, ...]
     """Joints, as in the robot's URDF."""
     joint_pos: Array
-    """[frames, joints], rad."""
+    """Positions of the joints, [frames, joints], rad."""
     base_pos: Array
-    """[frames, 3], m."""
+    """Positions of the base's frame, [frames, 3], m."""
     base_quat: Array
     """[frames, 4], w, x, y, z."""
+    link_names: tuple[str, ...] = ()
+    """Links whose positions the motion's file says."""
+    link_pos: Array | None = None
+    """Their positions, [frames, links, 3], m."""
     notes: tuple[str, ...] = ()
     """Sentences on what the making of the motion has lost."""
 
@@ -75,7 +77,14 @@ class Motion:
             return mixed
 
         quat = turns.between(self.base_quat[before], self.base_quat[after], share[:, 0])
-        return replace(self, fps=fps, joint_pos=linear(self.joint_pos), base_pos=linear(self.base_pos), base_quat=quat)
+        return replace(
+            self,
+            fps=fps,
+            joint_pos=linear(self.joint_pos),
+            base_pos=linear(self.base_pos),
+            base_quat=quat,
+            link_pos=None,
+        )
 
 
 def save(motion: Motion, path: Path, **links: npt.NDArray[Any]) -> None:
@@ -194,6 +203,8 @@ def _bytes(path: Path) -> bytes:
         return read_bytes(path, MAX_BYTES)
     except OSError as error:
         raise _core.ConfigError(f"cannot read {path}: {error.strerror}; name the file of a motion") from error
+    except ValueError as error:
+        raise _core.ConfigError(f"cannot read {path}: {error}; name the file of a motion") from error
 
 
 def _array(path: Path, archive: Any, name: str) -> npt.NDArray[Any]:
@@ -255,28 +266,10 @@ def _checked(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Motion:
         joint_pos=arrays["joint_pos"].astype(np.float64),
         base_pos=arrays["base_pos"].astype(np.float64),
         base_quat=turns.continuous(turns.unit(arrays["base_quat"].astype(np.float64))),
+        link_names=tuple(str(name) for name in arrays["link_names"].reshape(-1)) if links else (),
+        link_pos=arrays["link_pos"].astype(np.float64) if links and "link_pos" in arrays else None,
     )
-    if "link_pos" in arrays and "link_names" in arrays and robot:
-        _check_links(path, motion, [str(name) for name in arrays["link_names"]], arrays["link_pos"])
     return motion
-
-
-def _check_links(path: Path, motion: Motion, links: list[str], found: npt.NDArray[Any]) -> None:
-    """Refuses a file whose links are not where its joints put them."""
-    from polypod.motions.body import body_of
-
-    body = body_of(motion.robot)
-    frames = np.unique(np.linspace(0, motion.frames - 1, 16).astype(np.int64))
-    position, _ = body.kinematics(body.qpos(motion)[frames])
-    for column, link in enumerate(links):
-        if link not in body.links:
-            raise _core.ConfigError(f"{path}: link_names: {motion.robot} has no link {link!r}; write the URDF's names")
-        error = float(np.linalg.norm(position[:, body.links.index(link)] - found[frames, column], axis=-1).max())
-        if error > LINK_ERROR:
-            raise _core.ConfigError(
-                f"{path}: link_pos: {link} is {error:.3f} m from where the joints of {motion.robot} put it; write the "
-                "poses of the URDF's frames, or leave the links out"
-            )
 
 
 def _is_number(text: str) -> bool:

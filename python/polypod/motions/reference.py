@@ -29,18 +29,18 @@ class Reference:
     """[frames, slots], canonical order and directions, rad."""
     joint_vel: Array
     base_pos: Array
-    """[frames, 3], m."""
+    """Positions of the base's frame, [frames, 3], m."""
     base_quat: Array
     base_lin_vel: Array
     """[frames, 3], of the base's origin, world axes, m/s."""
     base_ang_vel: Array
-    """[frames, 3], world axes, rad/s."""
+    """Angular velocities of the base, [frames, 3], world axes, rad/s."""
     links: Ids
     """[keys], key links among the robot's."""
     ends: npt.NDArray[np.bool_]
     """[keys], feet and hands."""
     link_pos: Array
-    """[frames, keys, 3]."""
+    """Positions of the key links, [frames, keys, 3], m."""
     link_quat: Array
     link_lin_vel: Array
     link_ang_vel: Array
@@ -87,7 +87,7 @@ class Errors:
     """How far envs of one robot are from their frames. World axes; m, rad, s."""
 
     anchor_pos: Array
-    """[n, 3]."""
+    """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
     """[n], angle."""
     gravity: Array
@@ -97,7 +97,7 @@ class Errors:
     link_ori: Array
     """[n, keys], in the same way."""
     link_lin_vel: Array
-    """[n, keys, 3]."""
+    """Differences of the key links' velocities, [n, keys, 3], m/s."""
     link_ang_vel: Array
 
 

@@ -20,9 +20,9 @@ MISSED = 0.002
 def retarget(motion: Motion, source: Body, target: Body) -> Motion:
     """A motion of `source` for `target`; its `notes` say what is lost.
 
-    Joints take over the change from the default pose of the joint of the same role. The base and the
-    feet go ways that are scaled by the ratio of the leg lengths, so that a foot that stands still
-    does so again; the legs follow by inverse kinematics.
+    Joints take over the change from the default pose of the joint of the same role. The base and
+    the feet go ways that are scaled by the ratio of the leg lengths, so that a foot that stands
+    still does so again; the legs follow by inverse kinematics.
 
     Raises ConfigError for joints that the source does not have.
     """
@@ -64,6 +64,7 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
         joint_pos=moved[:, 7:],
         base_pos=moved[:, :3],
         base_quat=turns.unit(moved[:, 3:7]),
+        link_pos=None,
         notes=(*motion.notes, *lost),
     )
 

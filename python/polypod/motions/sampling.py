@@ -1,8 +1,8 @@
 """Adaptive sampling of the frames where episodes begin: segments that fail come more often.
 
 As in BeyondMimic, a clip is cut into bins of about a second. Failures of a bin are counted and
-smoothed over time; a kernel also counts a failure for the bins before it, since what leads to a
-fall is to be practised; a uniform share remains.
+smoothed over time; a kernel also counts a failure for the bins before it, since a fall begins
+earlier; a uniform share remains.
 """
 
 from collections.abc import Mapping, Sequence

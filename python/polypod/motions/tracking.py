@@ -41,7 +41,7 @@ def observes_motions(sim: _core.VecSim) -> bool:
 
 
 def terms_of_task(task: str, robots: Sequence[str] | None, overrides: Sequence[str]) -> tuple[Terms | None, list[str]]:
-    """Terms of a task that tracks motions; None for another one. Also its changes without `motions.`.
+    """Terms of a task that tracks motions, or None, and its changes without `motions.`.
 
     Raises ConfigError for options of another task, and for unknown ones.
     """
@@ -115,7 +115,7 @@ class Tracker:
         self._errors = None
 
     def errors(self, env: Any) -> list[Errors]:
-        """Of each robot's envs."""
+        """Errors of each robot's envs."""
         if self._errors is None:
             self._errors = []
             for robot, reference, rows in zip(self.robots, self.references, self.rows, strict=True):
@@ -132,14 +132,14 @@ class Tracker:
             whole[rows] = part
         return whole
 
-    def anchor(self, env: Any) -> tuple[Array, Array]:
-        """Position [num_envs, 3] and orientation [num_envs, 4] of the reference's base in base axes."""
+    def anchor(self, env: Any, base_pos: Array, base_quat: Array) -> tuple[Array, Array]:
+        """The reference's base in base axes: position [num_envs, 3], orientation [num_envs, 4]."""
         pos, quat = np.zeros((env.num_envs, 3)), np.zeros((env.num_envs, 4))
         for reference, rows in zip(self.references, self.rows, strict=True):
             frame = env.memory["motion_frame"][rows, 0]
             pos[rows], quat[rows] = reference.base_pos[frame], reference.base_quat[frame]
-        back = rotations.inverse(env.base_quat.astype(np.float64))
-        return turns.rotated(back, pos - env.base_pos), rotations.product(back, quat)
+        back = rotations.inverse(base_quat)
+        return turns.rotated(back, pos - base_pos), rotations.product(back, quat)
 
     def advance(self, env: Any) -> None:
         """Goes on by a frame; the last one of a clip stays."""
@@ -328,24 +328,24 @@ def _observations(tracker: Find, found: Options) -> list[Any]:
 
     @terms.observation(size=3, units="m", mirror="vector")
     def motion_anchor_pos_b(env: Any) -> Array:
-        return tracker(env).anchor(env)[0]
+        return tracker(env).anchor(env, *_base(env))[0]
 
     @terms.observation(size=6, mirror="vector")
     def motion_anchor_ori_b(env: Any) -> Array:
-        _, quat = tracker(env).anchor(env)
-        # x and z axes: a mirror changes both as vectors
-        w, x, y, z = quat.T
-        columns = (
-            1.0 - 2.0 * (y * y + z * z),
-            2.0 * (x * y + w * z),
-            2.0 * (x * z - w * y),
-            2.0 * (x * z + w * y),
-            2.0 * (y * z - w * x),
-            1.0 - 2.0 * (x * x + y * y),
-        )
-        return np.stack(columns, axis=1)
+        return axes(tracker(env).anchor(env, *_base(env))[1])
 
     return [command, motion_phase, motion_anchor_pos_b, motion_anchor_ori_b]
+
+
+def _base(env: Any) -> tuple[Array, Array]:
+    """Positions and orientations of the bases."""
+    return env.base_pos.astype(np.float64), env.base_quat.astype(np.float64)
+
+
+def axes(quaternion: Array) -> Array:
+    """[n, 6], x and z axes of orientations: a mirror changes both as vectors."""
+    matrix = rotations.matrix(quaternion)
+    return np.concatenate([matrix[..., 0], matrix[..., 2]], axis=-1)
 
 
 def _square(error: Array) -> Array:
@@ -362,7 +362,8 @@ ERRORS: dict[str, Callable[[Errors, Reference], Array]] = {
     "motion_global_body_linear_velocity_error_exp": lambda e, _: _square(e.link_lin_vel).mean(axis=-1),
     "motion_global_body_angular_velocity_error_exp": lambda e, _: _square(e.link_ang_vel).mean(axis=-1),
 }
-"""Error of each reward term, [n]: the square of m, rad, m/s or rad/s, its mean over the key links."""
+"""Error of each reward term, [n]: the square of m, rad, m/s or rad/s, its mean over the key
+links."""
 
 
 def _rewards(tracker: Find, found: Options) -> list[Any]:
@@ -379,18 +380,19 @@ def _rewards(tracker: Find, found: Options) -> list[Any]:
     return [one(name, option) for name, option in found.rewards.items()]
 
 
-_DEVIATIONS: dict[str, Callable[[Errors, Reference], Array]] = {
+DEVIATIONS: dict[str, Callable[[Errors, Reference], Array]] = {
     "bad_anchor_pos_z_only": lambda e, _: np.abs(e.anchor_pos[:, 2]),
     "bad_anchor_ori": lambda e, _: e.gravity,
     "bad_motion_body_pos_z_only": lambda e, ref: np.abs(e.link_pos[:, ref.ends, 2]).max(axis=1),
 }
+"""Deviation of each termination, [n]."""
 
 
 def _terminations(tracker: Find, found: Options) -> list[Any]:
     def one(name: str, threshold: float) -> Any:
         @terms.termination(name=name)
         def beyond(env: Any) -> Bools:
-            is_beyond: Bools = tracker(env).per_env(env, _DEVIATIONS[name]) > threshold
+            is_beyond: Bools = tracker(env).per_env(env, DEVIATIONS[name]) > threshold
             return is_beyond
 
         return beyond

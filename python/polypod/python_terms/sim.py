@@ -345,9 +345,10 @@ class TermSim(_core.VecSim):
         values = self._commands[command.name]
         return self._checks.rows(f"commands[{command.name!r}]", values, values.shape, self._env.valid)
 
-    def memory(self, name: str) -> npt.NDArray[Any]:
-        """An array of `polypod.terms.memory`, the simulator's own. Raises KeyError."""
-        return self._memory[name]
+    @property
+    def view(self) -> TermEnv:
+        """All envs as the terms see them."""
+        return self._env
 
     # -- what curricula change ---------------------------------------------------------------------
 
