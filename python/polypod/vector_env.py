@@ -500,8 +500,7 @@ def simulator(terms: Terms | None, task: str, num_envs: int, *, play: bool = Fal
         if terms is None:
             return sim
     else:
-        robots = options.get("robots")
-        terms = tracking.again(terms, num_robots(task, changes) if robots is None else len(robots), own)
+        terms = tracking.again(terms, task, options.get("robots"), changes, own)
     options["overrides"] = tracking.widths(terms, changes)
     return TermSim(task, num_envs, terms=terms, play=play, **options)
 

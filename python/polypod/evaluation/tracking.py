@@ -56,14 +56,15 @@ class Seen:
     """[envs], the clip of each."""
     failed: npt.NDArray[np.bool_]
     running: npt.NDArray[np.bool_]
-    parts: list[tuple[Array, Array, Array, Array]] = dataclasses.field(default_factory=list)
+    parts: list[tuple[npt.NDArray[np.int64], Array, Array, Array]] = dataclasses.field(default_factory=list)
 
     def add(self, found: Errors, fell: npt.NDArray[np.bool_], over: npt.NDArray[np.bool_]) -> None:
         """Notes a control step of the envs that still run, and which of them it ends."""
-        at = np.flatnonzero(self.running)
+        at: npt.NDArray[np.int64] = np.flatnonzero(self.running).astype(np.int64)
         distance = np.linalg.norm(found.link_pos[at], axis=-1)
         base = np.linalg.norm(found.anchor_pos[at], axis=-1)
-        self.parts.append((at, distance, base, np.degrees(found.anchor_ori[at])))
+        turn: Array = np.degrees(found.anchor_ori[at])
+        self.parts.append((at, distance, base, turn))
         self.failed |= self.running & fell
         self.running &= ~(fell | over)
 
@@ -125,9 +126,10 @@ class Trial:
         self.options = parse(dict(sim.terms.options or {}), "motions")
         self.steps = round(longest / sim.step_dt)
         self.seen: dict[str, Seen] = {}
-        for robot in sim.robots:
+        self.sources = list(robots)
+        for robot, source in zip(sim.robots, robots, strict=True):
             rows = slice(*sim.env_ids(robot))
-            body = body_of(robot)
+            body = body_of(source)
             reference = Reference.of(body, library.clips_of(clips, body.source), sim.step_dt)
             count = rows.stop - rows.start
             clip = sim.view.memory["motion_clip"][rows, 0].copy()
@@ -162,7 +164,7 @@ class Trial:
 
 def _results(seen: Seen) -> dict[str, ClipResult]:
     reference, clip, failed = seen.reference, seen.clip, seen.failed
-    env = np.concatenate([part[0] for part in seen.parts]).astype(np.int64)
+    env = np.concatenate([part[0] for part in seen.parts])
     links, base, turn = (np.concatenate([part[i] for part in seen.parts]) for i in (1, 2, 3))
     holds = (links <= LINK_BOUND).all(axis=1) & (turn <= BASE_BOUND)
     steps = np.bincount(env, minlength=len(clip))

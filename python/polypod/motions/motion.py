@@ -242,7 +242,11 @@ def _checked(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Motion:
     if not 2 <= frames <= MAX_FRAMES:
         raise fail("joint_pos", f"{frames} frames", f"write 2 to {MAX_FRAMES:,}")
     links = arrays["link_names"].size if "link_names" in arrays else 0
-    shapes = {"joint_pos": (frames, len(joints)), "base_pos": (frames, 3), "base_quat": (frames, 4)}
+    shapes: dict[str, tuple[int, ...]] = {
+        "joint_pos": (frames, len(joints)),
+        "base_pos": (frames, 3),
+        "base_quat": (frames, 4),
+    }
     shapes |= {"link_pos": (frames, links, 3), "link_quat": (frames, links, 4)}
     for name, shape in shapes.items():
         if name in arrays and arrays[name].shape != shape:

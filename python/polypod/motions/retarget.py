@@ -32,11 +32,11 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
     change = source.by_slot(qpos[:, 7:]) - source.by_slot(source.default)
     slots = np.tile(target.by_slot(target.default), (motion.frames, 1))
     for column, slot in enumerate(source.slots):
-        at = target.slot(slot)
-        if at is not None:
-            slots[:, at] += change[:, column]
-        elif (turn := float(np.degrees(np.abs(change[:, column]).max()))) > NOTED:
-            lost.append(f"{target.name} has no {slot}, which turns by up to {turn:.0f} deg")
+        place = target.slot(slot)
+        if place is not None:
+            slots[:, place] += change[:, column]
+        elif (turned := float(np.degrees(np.abs(change[:, column]).max()))) > NOTED:
+            lost.append(f"{target.name} has no {slot}, which turns by up to {turned:.0f} deg")
     joints = target.by_joint(slots)
     clipped = np.clip(joints, target.lower, target.upper)
     base = scale * motion.base_pos

@@ -22,7 +22,6 @@ from polypod.motions.reference import Errors, Reference, errors
 from polypod.python_terms import Declared, Memory, Terms
 from polypod.python_terms import declarations as terms
 from polypod.python_terms.sim import declared_in
-from polypod.registration import num_robots
 
 Ids = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -46,9 +45,9 @@ def terms_of_task(task: str, robots: Sequence[str] | None, overrides: Sequence[s
     Raises ConfigError for options of another task, and for unknown ones.
     """
     changes, own = split(overrides)
-    count = num_robots(task, changes) if robots is None else len(robots)
+    sources = _core.task_robots(task, changes) if robots is None else list(robots)
     plain = [*(text for text in changes if not text.startswith("env_shares.")), "env_shares=null"]
-    sim = _core.VecSim(task, count, robots=None if robots is None else list(robots), threads=1, overrides=plain)
+    sim = _core.VecSim(task, len(sources), robots=sources, threads=1, overrides=plain)
     if not observes_motions(sim):
         if own:
             raise _core.ConfigError(
@@ -56,11 +55,11 @@ def terms_of_task(task: str, robots: Sequence[str] | None, overrides: Sequence[s
                 "tracking_flat_humanoid"
             )
         return None, changes
-    return declared(options(own), count), changes
+    return declared(options(own), sources), changes
 
 
-def again(found: Terms, count: int, own: Sequence[str]) -> Terms:
-    """The terms for another number of robots, with changed options.
+def again(found: Terms, task: str, robots: Sequence[str] | None, changes: Sequence[str], own: Sequence[str]) -> Terms:
+    """The terms for these robots, or those of the task, with changed options.
 
     Raises ConfigError for options of terms that are no task's own.
     """
@@ -73,12 +72,13 @@ def again(found: Terms, count: int, own: Sequence[str]) -> Terms:
     tables: dict[str, Any] = dict(found.options)
     if own:
         tables = tomllib.loads(_core.with_overrides(json.dumps(tables), list(own)))
-    return declared(parse(tables, "motions"), count)
+    sources = _core.task_robots(task, list(changes)) if robots is None else robots
+    return declared(parse(tables, "motions"), sources)
 
 
 def of_manifest(tables: dict[str, Any], name: str) -> Terms:
     """The terms of a run by the options in its manifest. Raises ConfigError."""
-    return declared(parse(tables, f"{name}: manifest"), 1)
+    return declared(parse(tables, f"{name}: manifest"), [name])
 
 
 def widths(found: Terms, overrides: Sequence[str]) -> list[str]:
@@ -91,8 +91,8 @@ def widths(found: Terms, overrides: Sequence[str]) -> list[str]:
 class Tracker:
     """The references of a simulator's robots, and how far its envs are from them."""
 
-    def __init__(self, env: Any, found: Options) -> None:
-        """Makes the clips for the robots of `env`."""
+    def __init__(self, env: Any, found: Options, sources: Sequence[str]) -> None:
+        """Makes the clips for the robots of `env`, whose names or paths are `sources`."""
         self.options = found
         info = json.loads(env.sim.robot_info())
         self.robots: list[str] = env.robots
@@ -100,8 +100,8 @@ class Tracker:
         self.columns: list[Ids] = []
         self.com: list[Array] = []
         shapes = json.loads(env.sim.robot_shapes())
-        for robot in self.robots:
-            body = body_of(robot)
+        for robot, source in zip(self.robots, sources, strict=True):
+            body = body_of(source)
             clips = library.clips_of(found.clips, body.source)
             self.references.append(Reference.of(body, clips, env.step_dt))
             self.columns.append(np.array(info[robot]["columns"], dtype=np.int64))
@@ -262,22 +262,22 @@ class Tracker:
         )
 
 
-def declared(found: Options, count: int) -> Terms:
+def declared(found: Options, sources: Sequence[str]) -> Terms:
     """All terms of a tracking task.
 
     Args:
         found: options.
-        count: number of robots in the simulation.
+        sources: names or paths of the simulation's robots, in its order.
     """
     trackers: weakref.WeakKeyDictionary[Any, Tracker] = weakref.WeakKeyDictionary()
 
     def tracker(env: Any) -> Tracker:
         known = trackers.get(env)
         if known is None:
-            known = trackers[env] = Tracker(env, found)
+            known = trackers[env] = Tracker(env, found, sources)
         return known
 
-    bins = sampling.Bins([library.duration(clip) for clip in found.clips], found.sampling, count)
+    bins = sampling.Bins([library.duration(clip) for clip in found.clips], found.sampling, len(sources))
     entries: list[Any] = [
         terms.memory("motion_clip", dtype="int64"),
         terms.memory("motion_frame", dtype="int64"),

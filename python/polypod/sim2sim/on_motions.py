@@ -33,7 +33,7 @@ class _WithReference:
     def __init__(self, policy: OnnxPolicy, trial: Trial, rows: slice) -> None:
         self.policy, self.rows = policy, rows
         self.env = trial.sim.view
-        self.tracker = Tracker(self.env, trial.options)
+        self.tracker = Tracker(self.env, trial.options, trial.sources)
         self.twin: Twin | None = None
 
     @property

@@ -178,6 +178,8 @@ def train_with(
     torch.manual_seed(plan.seed)
     run_config = plan.config.run
     terms = plan.terms
+    if terms is not None and terms.options is not None and workers.count > 1:
+        raise _core.ConfigError("tasks that track motions are trained in one process; train without workers")
     if terms is not None and workers.count > 1:
         raise _core.ConfigError("--terms are of trainings in one process; leave them out, or train without workers")
     env = polypod.make(
