@@ -25,6 +25,7 @@ from polypod.commands.export import Export
 from polypod.commands.film import FilmOf
 from polypod.commands.info import Info
 from polypod.commands.list import List
+from polypod.commands.motions import Motions
 from polypod.commands.play import Play
 from polypod.commands.robot import Robot
 from polypod.commands.robustness import Robustness
@@ -45,6 +46,7 @@ Command = (
     | Annotated[Robustness, tyro.conf.subcommand("robustness")]
     | Annotated[Play, tyro.conf.subcommand("play")]
     | Annotated[FilmOf, tyro.conf.subcommand("film")]
+    | Annotated[Motions, tyro.conf.subcommand("motions")]
     | Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Add, tyro.conf.subcommand("add")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]

@@ -19,6 +19,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from polypod import _core
+from polypod.motions import tracking
+from polypod.motions.options import split
 from polypod.python_terms import Declared, Memory, Terms, TermSim, load
 from polypod.python_terms.declarations import declared_by
 from polypod.registration import NAMESPACE, num_robots, task_of
@@ -146,7 +148,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
             raise _core.ConfigError(f"robots={robots!r} is one string; pass a list of names, e.g. [{robots!r}]")
         task, overrides = task_of(task_id), override_texts(options.get("overrides", ()))
         if num_envs is None:
-            num_envs = num_robots(task, overrides) if robots is None else len(robots)
+            num_envs = num_robots(task, split(overrides)[0]) if robots is None else len(robots)
         self._sim: _core.VecSim | None
         self._sim = simulator(
             terms_of(options.get("terms")),
@@ -484,10 +486,22 @@ def simulator(terms: Terms | None, task: str, num_envs: int, *, play: bool = Fal
         **options: see `VecSim`.
 
     Raises:
-        ConfigError: as `VecSim` and `polypod.python_terms.TermSim`.
+        ConfigError: as `VecSim` and `polypod.python_terms.TermSim`; for options `motions.` of a
+            task that tracks no motions.
     """
+    given = list(options.get("overrides", ()))
+    changes, own = split(given)
+    options["overrides"] = changes
     if terms is None:
-        return _core.VecSim(task, num_envs, **options)
+        sim = _core.VecSim(task, num_envs, **options)
+        if not own and not tracking.observes_motions(sim):
+            return sim
+        terms, _ = tracking.terms_of_task(task, options.get("robots"), given)
+        if terms is None:
+            return sim
+    else:
+        terms = tracking.again(terms, task, options.get("robots"), changes, own)
+    options["overrides"] = tracking.widths(terms, changes)
     return TermSim(task, num_envs, terms=terms, play=play, **options)
 
 

@@ -211,6 +211,19 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         ("--heights", "heights.npy", "--out", "map.toml"),
         {"--out": OUTPUTS, "--task": NAMES, "--heights": FILES, "--cell": FLOATS, "--range": FLOATS},
     ),
+    "motions": (
+        ("draw", Positional("squat"), "--robot", "unitree_g1", "--out", "squat.npz"),
+        {"": [*NAMES, *FILES], "--robot": NAMES, "--out": [*OUTPUTS, "x.csv", "folder/x.npz/y"]},
+    ),
+    "motions import": (
+        ("import", Positional("nothing.csv"), "--robot", "unitree_g1", "--out", "x.npz"),
+        {"": FILES, "--fps": FLOATS, "--joints": NAMES},
+    ),
+    "motions eval": (
+        ("eval", Positional("nothing")),
+        {"": FILES, "--episodes": COUNTS, "--robots": NAMES, "--clips": NAMES, "--threads": COUNTS}
+        | {"--seed": _SEEDS, "--json": OUTPUTS, "--set": OVERRIDES},
+    ),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
@@ -237,6 +250,7 @@ _POLYPOD_SWITCHES = {
     "add": ("--force", "--no-force"),
     "sim2sim": ("--soft-contact", "--no-soft-contact", "--differences", "--no-differences"),
     "robot": ("--force", "--no-force"),
+    "motions": ("--ground", "--no-ground", "--mujoco", "--no-mujoco"),
     "bodies": ("--force", "--no-force", "--wide", "--no-wide"),
     "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),
 }

@@ -25,6 +25,8 @@ from common import FLAT_POLICY
 from polypod import _core, bodies, cli
 from polypod.compat import tomllib
 from polypod.export import export_checkpoint
+from polypod.motions import key_poses
+from polypod.motions.body import body_of
 from polypod.runs import config
 from polypod.sim2sim.mapping import Given
 from polypod.training import sweep
@@ -166,6 +168,9 @@ def test_toml_is_accepted(block, tmp_path):
     elif "surfaces" in tables:
         file.write_text('extends = "unitree_go2"\nname = "mine"\ntitle = "mine"\n' + block.text)
         assert _core.VecSim("velocity_flat", num_envs=2, robots=[str(file)], threads=1).num_envs == 2
+    elif "pose" in tables:
+        file.write_text(block.text)
+        assert key_poses.draw(str(file), body_of("unitree_g1")).frames > 1
     elif "joints" in tables:
         file.write_text(block.text)
         assert len(Given.read(file).joints) == len(tables["joints"])

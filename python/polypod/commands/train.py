@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from polypod import _core, runs
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
+from polypod.motions.options import split
 
 Learner = Literal["auto", "native", "rsl_rl"]
 
@@ -113,4 +114,5 @@ class Train:
 
         of_task, of_training = config.split_overrides(self.set)
         run = config.load(self.train_config or config.DEFAULT, of_training).run
+        of_task, _ = split(of_task)
         check_names(self.task or run.task, names(self.robots), of_task)

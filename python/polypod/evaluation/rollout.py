@@ -13,6 +13,7 @@ from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import measures, walking
 from polypod.evaluation.results import Evaluation, robot_result
+from polypod.motions.options import split
 from polypod.networks.policies import Policy, reset
 from polypod.python_terms import Terms
 from polypod.registration import num_robots
@@ -109,8 +110,9 @@ def evaluate(
     named = list(robots) if robots is not None else None
     switches = as_trained(name, trained) if randomized else undisturbed(name, trained)
     changes = [*trained, *switches, *overrides]
+    of_task, _ = split(changes)
     if num_envs is None:
-        num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name, changes))
+        num_envs = ENVS_PER_ROBOT * (len(named) if named else num_robots(name, of_task))
     sim = simulator(
         terms,
         name,
@@ -155,7 +157,7 @@ def evaluate(
         levels, kinds = sim.terrain_tiles()
         sums = {**_episode(sim, policy, length, record), "level": levels.astype(np.float64)}
         runs.append(sums if on_grid is None or first is None else {**sums, "command": first.astype(np.float64)})
-    disturbances = _core.disturbances(name, changes)
+    disturbances = _core.disturbances(name, of_task)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
     masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
     gravity = float(np.linalg.norm(sim.gravity))

@@ -170,6 +170,9 @@ class Terms:
     """The file."""
     sha256: str = ""
     """Checksum of the file, hexadecimal."""
+    options: Mapping[str, Any] | None = None
+    """Options of terms that polypod has itself and whose columns the task declares. None: the terms
+    are a user's."""
     rewards: Mapping[str, Reward] = field(default_factory=dict)
     terminations: Mapping[str, Termination] = field(default_factory=dict)
     observations: Mapping[str, Observation] = field(default_factory=dict)
@@ -223,6 +226,8 @@ class Terms:
 
     def in_overrides(self, overrides: Sequence[str]) -> list[str]:
         """Changes of a task with those that reserve the columns, which are added once."""
+        if self.options is not None:
+            return list(overrides)
         return [*overrides, *(text for term in self.shown if (text := term.override()) not in overrides)]
 
 

@@ -109,6 +109,7 @@ class TermSim(_core.VecSim):
         """Time that each term has taken, s, and all control steps together as `step`."""
         self._env = TermEnv(self, self, self._commands, self._memory, self._random)
         self._begin(np.ones(n, dtype=np.bool_), is_startup=True)
+        self.seconds.clear()  # preparations are no share of a step
 
     # -- what VecSim hands out ---------------------------------------------------------------------
 
@@ -344,6 +345,11 @@ class TermSim(_core.VecSim):
         values = self._commands[command.name]
         return self._checks.rows(f"commands[{command.name!r}]", values, values.shape, self._env.valid)
 
+    @property
+    def view(self) -> TermEnv:
+        """All envs as the terms see them."""
+        return self._env
+
     # -- what curricula change ---------------------------------------------------------------------
 
     def episode_reward(self, term: str) -> npt.NDArray[np.float64]:
@@ -565,6 +571,8 @@ class TermSim(_core.VecSim):
         per = {"per_joint": self.num_actions, "per_foot": len(self.feet_names)}
         for group, name in declared_in(tomllib.loads(self.resolved_config())["task"]):
             term = by_place.get((group, name))
+            if term is None and self.terms.options is not None:
+                term = self.terms.observations.get(name)
             if term is None:
                 raise _core.ConfigError(
                     f"{self._checks.begin}the task observes {name!r} in the group {group!r}, which this file does not "

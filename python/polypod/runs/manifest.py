@@ -126,6 +126,8 @@ class Manifest(TypedDict):
     joint_maps: NotRequired[dict[str, list[dict[str, Any]]]]
     train_config: dict[str, dict[str, Any]]
     terms: NotRequired[TermsManifest]
+    motions: NotRequired[dict[str, Any]]
+    """Options of a task that tracks motions, see `polypod.motions.options`."""
     trained_bodies: NotRequired[Annotated[list[BodyManifest], Meta(max_length=65536)]]
     """Bodies of policies that read descriptions of joints."""
     versions: NotRequired[dict[str, str]]

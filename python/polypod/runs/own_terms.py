@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from polypod import _core
+from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 
 
@@ -22,6 +23,8 @@ def terms_of_run(manifest: Mapping[str, Any], file: Path | None, name: str) -> T
             that observes terms whose file is not named.
     """
     began = manifest.get("terms")
+    if file is None and (own := manifest.get("motions")) is not None:
+        return tracking.of_manifest(own, name)
     if file is None:
         if columns := observed(manifest):
             known = began["file"] if began is not None else "the file of terms"

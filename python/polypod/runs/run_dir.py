@@ -363,6 +363,8 @@ def write_params(
     manifest = manifest_of(sim, config, robots, overrides, command)
     if slots:
         manifest["slots"] = list(slots)
+    if terms is not None and terms.options is not None:
+        manifest["motions"] = dict(terms.options)
     if terms is not None and terms.path is not None:
         # a record of what was run; it is never run by itself
         manifest["terms"] = {"file": terms.path.name, "sha256": terms.sha256}

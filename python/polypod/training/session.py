@@ -16,6 +16,7 @@ import torch
 import polypod
 from polypod import _core, quick_start
 from polypod.evaluation import evaluate_checkpoint
+from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
@@ -177,6 +178,8 @@ def train_with(
     torch.manual_seed(plan.seed)
     run_config = plan.config.run
     terms = plan.terms
+    if terms is not None and terms.options is not None and workers.count > 1:
+        raise _core.ConfigError("tasks that track motions are trained in one process; train without workers")
     if terms is not None and workers.count > 1:
         raise _core.ConfigError("--terms are of trainings in one process; leave them out, or train without workers")
     env = polypod.make(
@@ -332,9 +335,12 @@ def settle(
         num_envs=options.num_envs,
         max_iterations=options.max_iterations,
     ).with_teacher_located()
-    terms = None if options.terms is None else load(options.terms)
+    if options.terms is not None:
+        terms: Terms | None = load(options.terms)
+    else:
+        terms, overrides = tracking.terms_of_task(train_config.run.task, robots, overrides)
     if terms is not None:
-        overrides = terms.in_overrides(overrides)
+        overrides = tracking.widths(terms, terms.in_overrides(overrides))
     kind = torch.device(device).type
     train_config = train_config.with_learner_resolved(options.learner, kind)
     train_config = train_config.with_mixed_precision_resolved(kind)
@@ -383,6 +389,8 @@ def _terms_again(options: Options, manifest: dict[str, Any]) -> Terms | None:
     A manifest names no code, so the file is named on the command line once more.
     """
     began = manifest.get("terms")
+    if (own := manifest.get("motions")) is not None and options.terms is None:
+        return tracking.of_manifest(own, str(options.resume))
     if began is None and options.terms is not None:
         raise _core.ConfigError("--terms: this run was begun without; leave them out, or train anew without --resume")
     if began is None or options.terms is None:

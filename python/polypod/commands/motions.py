@@ -1,0 +1,178 @@
+"""`polypod motions`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from polypod import _core
+from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, names, positive, thread_count, write_json
+
+Action = Literal["list", "show", "draw", "import", "retarget", "eval"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Motions:
+    """Draw, import and retarget reference motions, and measure policies that track them.
+
+    They are motions of humanoids, see docs/motions.md.
+
+    Exit code 3 where eval finds a motion that is not followed in 95 % of the episodes.
+    """
+
+    action: Annotated[Action, tyro.conf.Positional]
+    """list: drawn motions. show: what a motion is like on a robot, in words. draw: make a drawn
+    motion for a robot, as .npz. import: read a .csv of frames. retarget: make a motion for another
+    robot, and say what is lost. eval: measure a policy."""
+    motion: Annotated[str | None, tyro.conf.Positional, arg(metavar="MOTION")] = None
+    """Name of a drawn motion, an .npz, with import a .csv, with eval a checkpoint."""
+    robot: Name = None
+    """Name or config of the robot. Default: unitree_g1, or the one that the file names."""
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The .npz to write; of draw, import and retarget."""
+    fps: float = 30.0
+    """With import: frames per second."""
+    joints: Annotated[str | None, arg(metavar="A,B,C")] = None
+    """With import: joints in the order of the columns, where the first line does not name them;
+    `robot` for the order of the robot's URDF."""
+    ground: bool = False
+    """With import: move the motion up or down so that its feet stand on the ground."""
+    robots: Robots = None
+    """With eval: the robots. Default: those of the run."""
+    clips: Annotated[str | None, arg(metavar="A,B,C")] = None
+    """With eval: motions. Default: those of the run."""
+    episodes: int = 16
+    """With eval: episodes of each robot and motion."""
+    seed: int = 0
+    """With eval: seed of the noise with which episodes begin."""
+    mujoco: bool = False
+    """With eval: in MuJoCo in the place of polypod, from the same states; needs the extra bench."""
+    threads: Count = None
+    """With eval: threads of the simulator. Default: one per core."""
+    json: Annotated[Path | None, arg(metavar="FILE")] = None
+    """With eval: also write the figures to this file."""
+    set: Overrides = ()
+    """With eval: changes the task's configuration. May be repeated."""
+
+    def run(self) -> int:
+        """Runs the command and returns its exit code."""
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
+        for key, actions in _BELONGS.items():
+            if self.action not in actions and getattr(self, key) != usual[key]:
+                raise _core.ConfigError(f"--{key} belongs to polypod motions {actions[0]}; leave it out")
+        if self.action == "list":
+            return self._list()
+        if self.motion is None:
+            raise _core.ConfigError(f"polypod motions {self.action} needs a motion or a file after it")
+        if self.action == "eval":
+            return self._eval(self.motion)
+        return self._make(self.motion)
+
+    def _list(self) -> int:
+        from polypod.motions import key_poses
+
+        for name in key_poses.names():
+            print(f"{name:<10} {key_poses.duration(name):4.1f} s  {key_poses.title(name)}")
+        return 0
+
+    def _make(self, name: str) -> int:
+        from polypod.motions import library, motion
+        from polypod.motions.body import body_of
+        from polypod.motions.retarget import on_the_ground
+
+        if self.action != "show" and self.out is None:
+            raise _core.ConfigError("--out is missing: name the .npz to write")
+        if self.action == "retarget" and self.robot is None:
+            raise _core.ConfigError("--robot is missing: name the robot that the motion is for")
+        robot = self.robot or "unitree_g1"
+        if self.action == "import":
+            body = body_of(robot)
+            columns = list(body.joints) if self.joints == "robot" else names(self.joints)
+            made = motion.read_csv(Path(name), body.source, self.fps, columns)
+            body.qpos(made)
+            if self.ground:
+                made, shift = on_the_ground(made, body)
+                print(f"moved by {shift:+.3f} m, so that the feet stand on the ground")
+        else:
+            if self.robot is None and name.endswith(".npz"):
+                robot = motion.read(Path(name)).robot or robot
+            made = library.clip_of(name, robot)
+        for text in _figures(made):
+            print(text)
+        if self.out is not None:
+            motion.save(made, self.out)
+            print(self.out)
+        return 0
+
+    def _eval(self, checkpoint: str) -> int:
+        from polypod import runs
+        from polypod.evaluation import tracking
+        from polypod.sim2sim import on_motions
+
+        measure = on_motions.measure_checkpoint if self.mujoco else tracking.measure_checkpoint
+        found = measure(
+            Path(runs.resolve(Path(checkpoint), Path("logs"))),
+            names(self.robots),
+            names(self.clips),
+            episodes=positive(self.episodes, "--episodes") or 1,
+            seed=self.seed,
+            threads=thread_count(self.threads, "--threads"),
+            overrides=list(self.set),
+        )
+        follows = True
+        for robot, clips in found.items():
+            print(robot)
+            print("  motion      followed  failed  base m (95 %)   base deg (95 %)  worst link m (95 %)")
+            for name, result in clips.items():
+                worst = max(result.links_m, key=lambda link: result.links_m[link][1])
+                mean, high = result.links_m[worst]
+                print(
+                    f"  {name:<10} {result.followed:>8.0%} {result.failed:>7.0%}  {result.base_m[0]:.3f} "
+                    f"({result.base_m[1]:.3f})   {result.base_deg[0]:4.1f} ({result.base_deg[1]:4.1f})      "
+                    f"{mean:.3f} ({high:.3f}) {worst}"
+                )
+                follows &= result.followed >= tracking.SHARE
+        figures = {robot: {name: dataclasses.asdict(r) for name, r in clips.items()} for robot, clips in found.items()}
+        write_json(self.json, figures)
+        return 0 if follows else 3
+
+
+def _figures(made: Any) -> list[str]:
+    """A motion in words."""
+    import numpy as np
+
+    from polypod.motions.body import body_of
+    from polypod.motions.motion import velocities
+
+    body = body_of(made.robot)
+    linear, _, joints = velocities(made)
+    gap = body.feet_gap(body.qpos(made))
+    away = made.base_pos[-1, :2] - made.base_pos[0, :2]
+    fastest = int(np.abs(joints).max(axis=0).argmax())
+    return [
+        f"{made.name} of {body.name}: {made.frames} frames at {made.fps:g} Hz, {made.duration_s:.1f} s",
+        f"base: height {made.base_pos[:, 2].min():.3f} to {made.base_pos[:, 2].max():.3f} m, ends {away[0]:+.2f} m "
+        f"forward and {away[1]:+.2f} m left, at most {np.linalg.norm(linear, axis=1).max():.2f} m/s",
+        f"feet: {1000.0 * gap.min():.0f} to {1000.0 * gap.max():.0f} mm above the ground; in the air for "
+        f"{(gap.min(axis=1) > 0.01).mean():.0%} of the time",
+        f"joints: at most {np.abs(joints).max():.1f} rad/s ({made.joint_names[fastest]})",
+        *(f"lost: {note}" for note in made.notes),
+    ]
+
+
+_BELONGS: dict[str, tuple[str, ...]] = {
+    "out": ("draw", "import", "retarget"),
+    "fps": ("import",),
+    "joints": ("import",),
+    "ground": ("import",),
+    "robot": ("show", "draw", "import", "retarget"),
+    "robots": ("eval",),
+    "clips": ("eval",),
+    "episodes": ("eval",),
+    "seed": ("eval",),
+    "mujoco": ("eval",),
+    "threads": ("eval",),
+    "json": ("eval",),
+    "set": ("eval",),
+}

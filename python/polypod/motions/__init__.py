@@ -1,0 +1,1 @@
+"""Reference motions of humanoids: files, drawings, retargeting, and the tasks that track them."""

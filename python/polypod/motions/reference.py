@@ -1,0 +1,134 @@
+"""The reference of one robot: all its clips frame by frame, and how far envs are from it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import rotations
+from polypod.arrays import Array
+from polypod.motions import turns
+from polypod.motions.body import Body
+from polypod.motions.motion import Motion, velocities
+
+Ids = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reference:
+    """Clips of a robot at the rate of the control steps, one after the other."""
+
+    body: Body
+    names: tuple[str, ...]
+    first: Ids
+    """[clips], first frame of each."""
+    last: Ids
+    """[clips], last frame of each."""
+    joint_pos: Array
+    """[frames, slots], canonical order and directions, rad."""
+    joint_vel: Array
+    base_pos: Array
+    """Positions of the base's frame, [frames, 3], m."""
+    base_quat: Array
+    base_lin_vel: Array
+    """[frames, 3], of the base's origin, world axes, m/s."""
+    base_ang_vel: Array
+    """Angular velocities of the base, [frames, 3], world axes, rad/s."""
+    links: Ids
+    """[keys], key links among the robot's."""
+    ends: npt.NDArray[np.bool_]
+    """[keys], feet and hands."""
+    link_pos: Array
+    """Positions of the key links, [frames, keys, 3], m."""
+    link_quat: Array
+    link_lin_vel: Array
+    link_ang_vel: Array
+
+    @classmethod
+    def of(cls, body: Body, motions: Sequence[Motion], step_dt: float) -> "Reference":
+        """Prepares clips. Raises ConfigError for joints that the body does not have."""
+        clips = [motion.resampled(1.0 / step_dt) for motion in motions]
+        counts = np.array([clip.frames for clip in clips])
+        last = np.cumsum(counts) - 1
+        moving = [velocities(clip) for clip in clips]
+        base = [np.concatenate(parts) for parts in zip(*((m[0], m[1]) for m in moving), strict=True)]
+        qpos = np.concatenate([body.qpos(clip) for clip in clips])
+        speeds = np.zeros((len(qpos), len(body.joints)))
+        for clip, (_, _, joints), end, count in zip(clips, moving, last, counts, strict=True):
+            columns = [body.joints.index(name) for name in clip.joint_names]
+            speeds[end - count + 1 : end + 1, columns] = joints
+        angular = turns.rotated(rotations.inverse(qpos[:, 3:7]), base[1])
+        pos, quat, lin, ang = body.moving(qpos, np.concatenate([base[0], angular, speeds], axis=1))
+        keys = np.array([body.links.index(link) for link in body.key_links])
+        ends = {body.foot(0), body.foot(1), *body.hands}
+        return cls(
+            body=body,
+            names=tuple(motion.name for motion in motions),
+            first=last - counts + 1,
+            last=last,
+            joint_pos=body.by_slot(qpos[:, 7:]),
+            joint_vel=body.by_slot(speeds),
+            base_pos=qpos[:, :3],
+            base_quat=qpos[:, 3:7],
+            base_lin_vel=base[0],
+            base_ang_vel=base[1],
+            links=keys,
+            ends=np.array([link in ends for link in body.key_links]),
+            link_pos=pos[:, keys],
+            link_quat=quat[:, keys],
+            link_lin_vel=lin[:, keys],
+            link_ang_vel=ang[:, keys],
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Errors:
+    """How far envs of one robot are from their frames. World axes; m, rad, s."""
+
+    anchor_pos: Array
+    """Ways from the base to the reference's, [n, 3], m."""
+    anchor_ori: Array
+    """[n], angle."""
+    gravity: Array
+    """[n], difference of the vertical direction's z component in base axes."""
+    link_pos: Array
+    """[n, keys, 3], with the reference moved to the base's place on the ground and heading."""
+    link_ori: Array
+    """[n, keys], in the same way."""
+    link_lin_vel: Array
+    """Differences of the key links' velocities, [n, keys, 3], m/s."""
+    link_ang_vel: Array
+
+
+def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array, ang: Array) -> Errors:
+    """Compares the links of envs with their frames of the reference.
+
+    Args:
+        reference: of their robot.
+        frame: [n].
+        pos: [n, links, 3], all links, relative to the env's origin; the base is the first.
+        quat: [n, links, 4].
+        lin: [n, links, 3], velocities of the links' origins.
+        ang: [n, links, 3].
+    """
+    base, turn = pos[:, 0], quat[:, 0]
+    ref_base, ref_turn = reference.base_pos[frame], reference.base_quat[frame]
+    heading = turns.yaw(rotations.product(turn, rotations.inverse(ref_turn)))[:, np.newaxis]
+    ref_pos, ref_quat = reference.link_pos[frame], reference.link_quat[frame]
+    anchor = base.copy()
+    anchor[:, 2] = ref_base[:, 2]
+    wide = np.broadcast_to(heading, ref_quat.shape)
+    moved = turns.rotated(wide, ref_pos - ref_base[:, np.newaxis]) + anchor[:, np.newaxis]
+    keys = reference.links
+    to_base = rotations.inverse(turn)
+    down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), base.shape)
+    return Errors(
+        anchor_pos=ref_base - base,
+        anchor_ori=turns.angle(ref_turn, turn),
+        gravity=np.abs(turns.rotated(rotations.inverse(ref_turn), down)[:, 2] - turns.rotated(to_base, down)[:, 2]),
+        link_pos=moved - pos[:, keys],
+        link_ori=turns.angle(rotations.product(wide, ref_quat), quat[:, keys]),
+        link_lin_vel=reference.link_lin_vel[frame] - lin[:, keys],
+        link_ang_vel=reference.link_ang_vel[frame] - ang[:, keys],
+    )
