@@ -63,6 +63,7 @@ struct Push {
 /// All built-in interval events, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
     registry.interval_event("push_robot", push_robot);
+    // A random force and torque on the base, until the next reset or event.
     registry.interval_event(EXTERNAL_WRENCH, |p: &WrenchRanges, body, rng| {
         *body.wrench = p.draw(body.morphology, rng);
     });
@@ -94,6 +95,7 @@ impl WrenchRanges {
     }
 }
 
+/// Adds a random velocity along world x and y to the base, m/s.
 fn push_robot(p: &Push, body: &mut EventBody, rng: &mut EnvRng) {
     body.velocity.linear[0] += rng.uniform(p.velocity_range);
     body.velocity.linear[1] += rng.uniform(p.velocity_range);

@@ -222,9 +222,11 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reset_event("reset_base", reset_base);
     registry.reset_event("reset_joints", reset_joints);
     registry.reset_event("reset_joints_within_limits_range", reset_joints_within_limits);
+    // A random force and torque on the base, until the next reset or event.
     registry.reset_event(EXTERNAL_WRENCH, |p: &WrenchRanges, state, rng| {
         *state.wrench = p.draw(state.morphology, rng);
     });
+    // A random delay of the targets, in whole physics steps, on top of the actuators' own.
     registry.reset_event(ACTION_DELAY, |p: &ActionDelay, state, rng| {
         let steps = rng.integer(p.range(state.morphology)) as f32;
         state.delay.0.iter_mut().for_each(|delay| *delay += steps);

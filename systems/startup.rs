@@ -118,9 +118,13 @@ struct ActuatorGains(Source<[Option<Draw>; 2]>);
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct UncheckedGains {
+    /// Bounds of the draw for stiffness, or mean and deviation. Default: each robot's own.
     stiffness_distribution_params: Option<[f64; 2]>,
+    /// The same for damping.
     damping_distribution_params: Option<[f64; 2]>,
+    /// Effect of the drawn number on the present one. Default: `scale`.
     operation: Option<Operation>,
+    /// Distribution of the draw. Default: `uniform`.
     distribution: Option<Distribution>,
 }
 
@@ -142,10 +146,15 @@ struct JointParameters(Source<[Option<Draw>; 3]>);
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct UncheckedJoints {
+    /// Bounds of the draw for armature, or mean and deviation. Default: each robot's own.
     armature_distribution_params: Option<[f64; 2]>,
+    /// The same for dry friction.
     friction_distribution_params: Option<[f64; 2]>,
+    /// The same for viscous friction.
     viscous_friction_distribution_params: Option<[f64; 2]>,
+    /// Effect of the drawn number on the present one. Default: `scale`.
     operation: Option<Operation>,
+    /// Distribution of the draw. Default: `uniform`.
     distribution: Option<Distribution>,
 }
 

@@ -152,6 +152,7 @@ fn half() -> f32 {
 
 /// All built-in terminations, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
+    // The episode has lasted `sim.episode_length_s`; a truncation.
     registry.termination("time_out", true, |_: &NoParams, _, episode, most| episode.length >= most);
     registry.termination("base_contact", false, base_contact);
     registry.termination("illegal_contact", false, illegal_contact);
@@ -159,11 +160,13 @@ pub(super) fn register(registry: &mut Registry) {
     registry.termination("root_height_below_minimum", false, root_height_below_minimum);
 }
 
+/// A body of the groups touches with more than the threshold, N.
 fn illegal_contact(p: &BodiesInContact, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
     bodies.into_iter().any(|(force, group)| *force > p.threshold && p.bodies.contains(group))
 }
 
+/// The base leans more than the limit.
 fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
     let gravity = view.imu.projected_gravity;
     // the angle of gravity from the base's downward axis, without an inverse cosine; without
@@ -171,12 +174,14 @@ fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
     -gravity[2] < p.limit_angle.cos && gravity != [0.0; 3]
 }
 
+/// The base is lower than the least height.
 fn root_height_below_minimum(p: &LeastHeight, view: &RobotView, _: &Episode, _: u32) -> bool {
     let default = view.stance.spawn_height - view.morphology.config.reset.spawn_margin as f32;
     let least = p.minimum_height.unwrap_or_else(|| view.morphology.least_height(p.minimum_share, default));
     view.base_height() < least
 }
 
+/// The base or the torso touches with more than the threshold, N.
 fn base_contact(p: &ContactThreshold, view: &RobotView, _: &Episode, _: u32) -> bool {
     let bodies = view.contacts.peak_force.iter().zip(&view.morphology.body_groups);
     bodies.into_iter().any(|(force, group)| matches!(group, BodyGroup::Base | BodyGroup::Torso) && *force > p.threshold)

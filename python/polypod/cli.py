@@ -31,6 +31,7 @@ from polypod.commands.robot import Robot
 from polypod.commands.robustness import Robustness
 from polypod.commands.sim2sim import Sim2sim
 from polypod.commands.sweep import SweepOf
+from polypod.commands.terms import Terms
 from polypod.commands.terrain import Terrain
 from polypod.commands.train import Train
 
@@ -54,6 +55,7 @@ Command = (
     | Annotated[Accuracy, tyro.conf.subcommand("accuracy")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
+    | Annotated[Terms, tyro.conf.subcommand("terms")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

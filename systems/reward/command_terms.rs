@@ -21,6 +21,7 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Std {
+    /// Width of the curve, m.
     #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
 }
@@ -81,6 +82,7 @@ pub(super) fn register(registry: &mut Registry) {
     registry.needs_command("tracking_contacts_shaped_vel", GAIT);
 }
 
+/// exp(-e^2 / std^2) of the error e of the base's height, m.
 #[inline(always)]
 fn track_base_height_exp(p: &Std, r: &RobotView) -> f32 {
     let [height, ..]: [f32; 3] = r.commands.first(POSE);
@@ -97,6 +99,7 @@ fn orientation_control(_: &NoParams, r: &RobotView) -> f32 {
     sum_of_squares(&[gravity[0] - sin_pitch, gravity[1] + sin_roll * cos_pitch])
 }
 
+/// Angle between the heading and the commanded one, rad.
 #[inline(always)]
 fn heading_command_error_abs(p: &HeadingOf, r: &RobotView) -> f32 {
     match p.command_name {
@@ -105,6 +108,7 @@ fn heading_command_error_abs(p: &HeadingOf, r: &RobotView) -> f32 {
     }
 }
 
+/// 1 - tanh(d / std) of the distance d to the commanded place, m.
 #[inline(always)]
 fn position_command_error_tanh(p: &Std, r: &RobotView) -> f32 {
     1.0 - tanh_positive(norm(&position_error(r)[..2]) / p.std)

@@ -48,8 +48,10 @@ struct MaxTime {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Clearance {
+    /// Error at which the reward has fallen to 1/e, m^2.
     #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
+    /// Growth of the weight of a foot with its speed, s/m.
     #[serde(deserialize_with = "values::number_of::<Gain, _, _>")]
     tanh_mult: f32,
     /// Height of a swinging foot's centre above the ground, m.
@@ -68,11 +70,13 @@ struct Force {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Gait {
+    /// Error at which the reward has fallen to 1/e, s^2.
     #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
     /// Largest difference of two feet's phase times that counts, s.
     #[serde(deserialize_with = "values::number_of::<Time, _, _>")]
     max_err: f32,
+    /// Planar speed from which an uncommanded robot counts as moving, m/s.
     #[serde(deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     velocity_threshold: f32,
 }
@@ -87,6 +91,8 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("gait", gait);
 }
 
+/// Flight time less the threshold, s, summed over the feet that land in this control step; 0 for
+/// robots that are told to stand.
 #[inline(always)]
 fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
     if stands(r.command, p.turning) {
@@ -99,12 +105,15 @@ fn feet_air_time(p: &AirTimeThreshold, r: &RobotView) -> f32 {
     landed.map(|(_, air)| air - p.threshold).sum()
 }
 
+/// Number of contact bodies of the groups whose normal force is above the threshold.
 #[inline(always)]
 fn undesired_contacts(p: &BodiesInContact, r: &RobotView) -> f32 {
     let bodies = r.contacts.peak_force.iter().zip(&r.morphology.body_groups);
     bodies.filter(|(force, group)| **force > p.threshold && p.bodies.contains(group)).count() as f32
 }
 
+/// Sum over the feet of the present phase of flight or contact, s, until `mode_time`; for a robot
+/// that stands, contact less flight time.
 #[inline(always)]
 fn air_time(p: &ModeTime, r: &RobotView) -> f32 {
     let moving = is_moving(r, p.velocity_threshold);
@@ -120,6 +129,7 @@ fn air_time(p: &ModeTime, r: &RobotView) -> f32 {
     .sum()
 }
 
+/// Variance over the feet of the last flight times plus that of the last contact times, s^2.
 #[inline(always)]
 fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
     let variance = |times: &[f32]| {
@@ -131,6 +141,8 @@ fn air_time_variance(p: &MaxTime, r: &RobotView) -> f32 {
     variance(&r.contacts.last_air_time) + variance(&r.contacts.last_contact_time)
 }
 
+/// exp(-e / std), where e sums over the feet the squared error of height, m^2, times
+/// tanh(`tanh_mult` x planar speed).
 #[inline(always)]
 fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
     let feet = r.feet.height.iter().zip(&r.feet.velocity);
@@ -143,6 +155,7 @@ fn foot_clearance(p: &Clearance, r: &RobotView) -> f32 {
     exp(-error / p.std)
 }
 
+/// Sum of the planar speeds of the feet that stand, m/s.
 #[inline(always)]
 fn foot_slip(p: &Force, r: &RobotView) -> f32 {
     let feet = r.morphology.feet.iter().zip(&r.feet.velocity);

@@ -39,7 +39,9 @@ struct StandStill {
     /// Planar speed below which the robot is told to stand, m/s. Isaac Lab's default.
     #[serde(default = "command_threshold", deserialize_with = "values::number_of::<SpeedThreshold, _, _>")]
     command_threshold: f32,
+    /// Patterns on canonical names, such as `*_KNEE`. Default: all joints.
     joints: Option<Vec<String>>,
+    /// Their mean in place of their sum.
     #[serde(default)]
     mean: bool,
 }
@@ -114,13 +116,18 @@ fn check_pattern(element: &str, pattern: &str) -> Result<(), (String, String, St
 }
 
 pub(super) fn register(registry: &mut Registry) {
+    // Sum or mean of the squared applied torques, N^2 m^2.
     registry.reward_for("dof_torques_l2", joints, |on, r| on.squares(&r.effort.applied));
+    // Sum or mean of the squared joint accelerations, rad^2/s^4.
     registry.reward_for("dof_acc_l2", joints, |on, r| on.squares(&r.effort.acceleration));
+    // Sum or mean of the squared joint velocities, rad^2/s^2.
     registry.reward_for("joint_vel_l2", joints, |on, r| on.squares(&r.joints.velocity));
     registry.reward_for("joint_deviation_l1", joints, joint_deviation_l1);
     registry.reward_for("joint_pos_limits", joints, joint_pos_limits);
     registry.reward_for("stand_still_joint_deviation_l1", stand_still, stand_still_joint_deviation_l1);
+    // Sum or mean of the squared changes of the action since the last control step.
     registry.reward_for("action_rate_l2", share, |factor, r| factor * action_change(r));
+    // Euclidean norm of the change of the action since the last control step.
     registry.reward("action_smoothness", |_: &NoParams, r| action_change(r).sqrt());
 }
 
@@ -143,6 +150,7 @@ fn action_change(r: &RobotView) -> f32 {
     pairs.fold(0.0, |sum: f32, (a, b)| (a - b).mul_add(a - b, sum))
 }
 
+/// Sum or mean of the distances of the joints from the default pose, rad.
 #[inline(always)]
 fn joint_deviation_l1(on: &OnJoints, r: &RobotView) -> f32 {
     let (q, default) = (&r.joints.position, &r.stance.default_position);
@@ -164,6 +172,7 @@ fn joint_pos_limits(on: &OnJoints, r: &RobotView) -> f32 {
     })
 }
 
+/// `joint_deviation_l1` while the robot is told to stand, else 0.
 #[inline(always)]
 fn stand_still_joint_deviation_l1((threshold, on): &(f32, OnJoints), r: &RobotView) -> f32 {
     if norm(&r.command[..2]) < *threshold { joint_deviation_l1(on, r) } else { 0.0 }

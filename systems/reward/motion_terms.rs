@@ -17,6 +17,7 @@ use crate::systems::view::RobotView;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Std {
+    /// Width of the curve, in units of the error.
     #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
 }
@@ -24,6 +25,7 @@ struct Std {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RampedStd {
+    /// Width of the curve, m/s.
     #[serde(deserialize_with = "values::number_of::<Width, _, _>")]
     std: f32,
     /// Commanded speed from which the reward grows, m/s.
@@ -56,19 +58,28 @@ struct StandStill {
 pub(super) fn register(registry: &mut Registry) {
     registry.reward("track_lin_vel_xy_exp", track_lin_vel_xy_exp);
     registry.reward("track_ang_vel_z_exp", track_ang_vel_z_exp);
+    // Squared vertical velocity of the base, base axes, m^2/s^2.
     registry.reward("lin_vel_z_l2", |_: &NoParams, r| r.imu.linear_velocity[2] * r.imu.linear_velocity[2]);
+    // Sum of the squared roll and pitch rates of the base, rad^2/s^2.
     registry.reward("ang_vel_xy_l2", |_: &NoParams, r| sum_of_squares(&r.imu.angular_velocity[..2]));
+    // Squared sine of the angle between base and vertical.
     registry.reward("flat_orientation_l2", |_: &NoParams, r| sum_of_squares(&r.imu.projected_gravity[..2]));
     registry.reward("base_angular_velocity", base_angular_velocity);
     registry.reward("base_linear_velocity", base_linear_velocity);
     registry.reward_for("base_height_l2", base_height, base_height_l2);
     registry.reward("base_motion", base_motion);
+    // Sine of the angle between base and vertical.
     registry.reward("base_orientation", |_: &NoParams, r| norm(&r.imu.projected_gravity[..2]));
+    // Euclidean norm of the joint accelerations, rad/s^2.
     registry.reward("joint_acc", |_: &NoParams, r| norm(&r.effort.acceleration));
     registry.reward("joint_pos", joint_pos);
+    // Euclidean norm of the applied torques, N m.
     registry.reward("joint_torques", |_: &NoParams, r| norm(&r.effort.applied));
+    // 1 unless the episode fails in this step.
     registry.reward("is_alive", |_: &NoParams, r| f32::from(u8::from(!r.terminated)));
+    // 1 if the episode fails in this step.
     registry.reward("is_terminated", |_: &NoParams, r| f32::from(u8::from(r.terminated)));
+    // Euclidean norm of the joint velocities, rad/s.
     registry.reward("joint_vel", |_: &NoParams, r| norm(&r.joints.velocity));
 }
 
@@ -84,28 +95,34 @@ pub(super) fn is_moving(r: &RobotView, threshold: f32) -> bool {
     norm(r.command) > 0.0 || norm(&r.imu.linear_velocity[..2]) > threshold
 }
 
+/// exp(-e^2 / std^2) of the planar velocity error e, m/s.
 #[inline(always)]
 fn track_lin_vel_xy_exp(p: &Std, r: &RobotView) -> f32 {
     exp(-sum_of_squares(&velocity_error(r)) / (p.std * p.std))
 }
 
+/// exp(-e^2 / std^2) of the yaw rate error e, rad/s.
 #[inline(always)]
 fn track_ang_vel_z_exp(p: &Std, r: &RobotView) -> f32 {
     let error = r.command[2] - r.imu.angular_velocity[2];
     exp(-error * error / (p.std * p.std))
 }
 
+/// exp(-|e| / std) of the yaw rate error e, rad/s.
 #[inline(always)]
 fn base_angular_velocity(p: &Std, r: &RobotView) -> f32 {
     exp(-(r.command[2] - r.imu.angular_velocity[2]).abs() / p.std)
 }
 
+/// exp(-|e| / std) of the planar velocity error e, m/s, times a factor that grows with the
+/// commanded speed.
 #[inline(always)]
 fn base_linear_velocity(p: &RampedStd, r: &RobotView) -> f32 {
     let ramp = (1.0 + p.ramp_rate * (norm(&r.command[..2]) - p.ramp_at_vel)).max(1.0);
     exp(-norm(&velocity_error(r)) / p.std) * ramp
 }
 
+/// 0.8 v_z^2 + 0.2 (|w_x| + |w_y|) of the velocities in base axes, m/s and rad/s.
 #[inline(always)]
 fn base_motion(_: &NoParams, r: &RobotView) -> f32 {
     let (v, w) = (&r.imu.linear_velocity, &r.imu.angular_velocity);
@@ -117,12 +134,14 @@ fn base_height(p: Height, robot: &MorphologyModel) -> Result<f32, (String, Strin
     Ok(p.target_height.unwrap_or(default))
 }
 
+/// Squared distance of the base's height from the wanted one, m^2.
 #[inline(always)]
 fn base_height_l2(target: &f32, r: &RobotView) -> f32 {
     let error = r.base_height() - target;
     error * error
 }
 
+/// Euclidean distance of the joints from the default pose, rad; scaled while the robot stands.
 #[inline(always)]
 fn joint_pos(p: &StandStill, r: &RobotView) -> f32 {
     let pairs = r.joints.position.iter().zip(&r.stance.default_position);

@@ -9,10 +9,12 @@ use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
 
 pub(super) fn register(registry: &mut Registry) {
+    // Mean of the squared torques, each as a share of weight times height of the base.
     registry.reward("scaled_torques_l2", |_: &NoParams, r| {
         let load = weight(r) * stance_height(r);
         if load > 0.0 { mean_square(&r.effort.applied) / (load * load) } else { 0.0 }
     });
+    // Mean of the squared joint accelerations, each in units of gravity over height of the base.
     registry.reward("scaled_acc_l2", |_: &NoParams, r| {
         let gravity = r.ground.free_fall();
         let unit = if gravity > 0.0 { stance_height(r) / gravity } else { 0.0 };

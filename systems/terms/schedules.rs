@@ -105,7 +105,9 @@ struct ModifyRewardWeight {
 /// act, and change nothing at an episode's end.
 pub(super) fn register(registry: &mut Registry) {
     registry.curriculum(COMMAND_CURRICULUM, widen_commands);
+    // Ranges of the velocity command that hold from control steps of the simulation on.
     registry.curriculum(COMMANDS_VEL, |_: &CommandsVel, _, _| {});
+    // Weight of a reward from a control step of the simulation on.
     registry.curriculum(MODIFY_REWARD_WEIGHT, |_: &ModifyRewardWeight, _, _| {});
 }
 

@@ -224,6 +224,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         {"": FILES, "--episodes": COUNTS, "--robots": NAMES, "--clips": NAMES, "--threads": COUNTS}
         | {"--seed": _SEEDS, "--json": OUTPUTS, "--set": OVERRIDES},
     ),
+    "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES}),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
@@ -242,6 +243,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
 _POLYPOD_SWITCHES = {
     "": ("--version", "-V"),
     "list": ("--json", "--no-json"),
+    "terms": ("--json", "--no-json"),
     "train": ("--headless", "--no-headless"),
     "compare": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--markdown", "--no-markdown"),
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--gate", "--no-gate"),
