@@ -54,6 +54,12 @@ def sources() -> dict[Path, str]:
     return {path: path.read_text() for folder in ("systems", "src/config") for path in (ROOT / folder).rglob("*.rs")}
 
 
+def plain(text: str) -> str:
+    """A comment without links."""
+    text = re.sub(r"\[(`[^`]*`)\]\([^)]*\)", r"\1", text)
+    return re.sub(r"\[(`[^`]*`)\]", r"\1", text)
+
+
 class Reader:
     """Finds terms and parameters in Rust sources."""
 
@@ -119,7 +125,7 @@ class Reader:
             if not text.startswith(mark):
                 break
             lines.append(text.removeprefix(mark).strip())
-        return " ".join(reversed(lines))
+        return plain(" ".join(reversed(lines)))
 
     def parameters(self, name: str, content: str, call: str) -> list[dict[str, str]]:
         """Parameters of a term: the fields of the struct that its call or its functions name."""
@@ -144,9 +150,9 @@ class Reader:
                 return found[1]
         # the first one of two functions reads the parameters
         for function in re.findall(r"\b([a-z_0-9]+)(?=[,)]|$)", call):
-            if signature := re.search(rf"fn {function}(?:<[^>]*>)?\(\s*\w+: &?(\w+),", content):
-                if signature[1] not in TYPES:
-                    return signature[1]
+            signature = re.search(rf"fn {function}(?:<[^>]*>)?\(\s*\w+: &?(\w+),", content)
+            if signature and signature[1] not in TYPES:
+                return signature[1]
         return None
 
     def fields(self, content: str, body: str) -> Iterator[dict[str, str]]:
@@ -166,7 +172,7 @@ class Reader:
                 "type": self.type(content, kind),
                 "unit": unit,
                 "required": "no" if "serde(default" in above or found[2].startswith("Option<") else "yes",
-                "description": doc,
+                "description": plain(doc),
             }
 
     def type(self, content: str, kind: str) -> str:

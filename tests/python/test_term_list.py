@@ -44,7 +44,7 @@ COMMANDS = {
 
 def complaint(kind, name, keys):
     """The error about a term with these keys; None where it is taken."""
-    # rewards and curricula may have a name of their own
+    # entries of rewards and curricula may be named otherwise
     is_aliased = kind in ("rewards", "curricula")
     place = PLACES[kind].format(entry="tried" if is_aliased else name)
     table = {"term": name} if is_aliased else {}
