@@ -12,7 +12,7 @@ import pytest
 from polypod.bundled import NAMES
 
 ROOT = Path(__file__).parents[2]
-MOST_BYTES = 17_000_000
+MOST_BYTES = 17_500_000
 """10 MB of them are the extension, 5.5 MB the four bundled policies."""
 
 
