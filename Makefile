@@ -34,15 +34,15 @@ NEXTEST := $(shell command -v cargo-nextest 2>/dev/null)
 
 # Arguments that are passed on: make train ARGS="--robots spot --max-iterations 50"
 ARGS ?=
-# `make test ONLY=python` runs a part: rust, python, learners (other learners and Ray) or fuzz. `make test TIER=extended`
-# runs all of them, with larger sizes.
+# `make test ONLY=python` runs a part: rust, python, learners (other learners and Ray), fuzz or instructions (of a control
+# step). `make test TIER=extended` runs all of them, with larger sizes; instructions where valgrind is installed.
 TIER ?=
-ONLY ?= rust python $(if $(filter extended,$(TIER)),learners fuzz)
+ONLY ?= rust python $(if $(filter extended,$(TIER)),learners fuzz $(if $(shell command -v valgrind),instructions))
 # `make lint FIX=1` formats all code first.
 FIX ?=
 
 .PHONY: help build train demo test bench accuracy lint docs wheel lock
-.PHONY: .test-rust .test-python .test-learners .test-fuzz .format .wheel-venv .compile
+.PHONY: .test-rust .test-python .test-learners .test-fuzz .test-instructions .format .wheel-venv .compile
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-14s %s\n", $$1, $$2 }' Makefile
@@ -101,6 +101,10 @@ endif
 # Needs a C++ compiler, for libFuzzer.
 .test-fuzz:
 	fuzz/run 120
+
+# Needs valgrind. ARGS=--write stores the counts of this build.
+.test-instructions: target/release/polypod-sim
+	$(PYTHON) tools/instructions.py $(ARGS)
 
 .test-python: build wheel
 	$(BIN)/pytest

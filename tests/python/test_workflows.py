@@ -80,7 +80,7 @@ def test_every_part_of_the_tests_exists():
     """`make test ONLY=...` of a workflow names parts, and a part names files of tests."""
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     parts = set(re.findall(r"^\.test-(\w+):", makefile, re.MULTILINE))
-    assert parts == {"rust", "python", "learners", "fuzz"}
+    assert parts == {"rust", "python", "learners", "fuzz", "instructions"}
     called = [word.removeprefix("ONLY=") for _, words in commands() for word in words if word.startswith("ONLY=")]
     assert called
     assert set(called) <= parts
