@@ -223,7 +223,7 @@ class _Canvas:
         self._draw = draw.Draw(self._image)
         self._resampling = image.Resampling.BOX
         self.lens = Lens(camera, self._pixels)
-        self._queue: list[tuple[float, list[tuple[float, float]], Color, int]] = []
+        self._queue: list[tuple[float, list[float], Color, int]] = []
         self._new: Any = (image.fromarray, draw.Draw, image.new)
 
     def paint(self, pixels: npt.NDArray[np.uint8]) -> None:
@@ -231,29 +231,44 @@ class _Canvas:
         self._image = self._new[0](pixels)
         self._draw = self._new[1](self._image)
 
-    def flat(self, outline: Array, color: Color, *, at_once: bool = False) -> None:
+    def flat(self, outline: Array, color: Color) -> None:
         """A flat polygon [n, 3] that is seen from both sides."""
         pixels, depth = self.lens.project(outline)
-        if depth.min() <= NEAR:
-            return
-        points = [(x, y) for x, y in pixels.tolist()]
-        if at_once:
-            self._draw.polygon(points, fill=color)
-        else:
-            self._queue.append((float(depth.mean()), points, color, 0))
+        if depth.min() > NEAR:
+            self._queue.append((float(depth.mean()), pixels.ravel().tolist(), color, 0))
+
+    def fill(self, outlines: Array, colors: Sequence[Color]) -> None:
+        """Draws polygons [n, 4, 3] with their colours at once, below all that is in the queue."""
+        pixels, depths = self.lens.project(outlines)
+        seen = np.flatnonzero(self._seen(pixels, depths))
+        for index, points in zip(seen.tolist(), pixels[seen].reshape(-1, 8).tolist(), strict=True):
+            self._draw.polygon(points, fill=colors[index])
+
+    def _seen(self, pixels: Array, depths: Array, part: tuple[Array, Array] | None = None) -> npt.NDArray[np.bool_]:
+        """Finds the polygons before the camera that may touch the picture, [n].
+
+        Args:
+            pixels: [n, corners, 2].
+            depths: [n, corners], m.
+            part: the least and the largest pixel of the part that counts; None: the picture.
+        """
+        low, high = (np.zeros(2), np.array(self._pixels)) if part is None else part
+        # Pillow's outlines are up to a pixel larger
+        near = (pixels.max(axis=1) >= low - 1.0) & (pixels.min(axis=1) <= high + 1.0)
+        return (depths.min(axis=1) > NEAR) & near.all(axis=1)
 
     def pit(self, outline: Array, solids: Sequence[Mesh], color: Color) -> None:
         """Draws the solids below the ground that are seen through an opening [n, 3] in it."""
         pixels, depth = self.lens.project(outline)
-        if depth.min() <= NEAR:
+        if not self._seen(pixels[None], depth[None])[0]:
             return
         above, self._image = self._image, self._new[2]("RGB", self._pixels, SHADOW)
         self._draw = self._new[1](self._image)
         for solid in solids:
-            self.solid(solid, color)
+            self.solid(solid, color, (pixels.min(axis=0), pixels.max(axis=0)))
         self.flush()
         opening = self._new[2]("1", self._pixels)
-        self._new[1](opening).polygon([(x, y) for x, y in pixels.tolist()], fill=1)
+        self._new[1](opening).polygon(pixels.ravel().tolist(), fill=1)
         above.paste(self._image, mask=opening)
         self._image = above
         self._draw = self._new[1](self._image)
@@ -265,30 +280,29 @@ class _Canvas:
         first, second = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
         # the faces that look at the light
         lit = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0.0
-        for outline in corners[lit]:
-            self.flat(outline, SHADOW, at_once=True)
+        shadows = corners[lit]
+        self.fill(shadows, [SHADOW] * len(shadows))
 
-    def solid(self, solid: Mesh, color: Color) -> None:
-        """The faces of a solid that look at the camera."""
+    def solid(self, solid: Mesh, color: Color, part: tuple[Array, Array] | None = None) -> None:
+        """The faces of a solid that look at the camera, in a part of the picture; see `_seen`."""
         corners = solid.vertices[solid.faces]
         facing, brightness = lit(corners, self.lens.origin, LIGHT)
         if not facing.any():
             return
-        pixels, depths = self.lens.project(corners[facing])
-        distances = np.linalg.norm(corners[facing].mean(axis=1) - self.lens.origin, axis=1)
-        shades = np.clip(np.outer(brightness, color), 0, 255).astype(int)
-        for outline, depth, distance, shade in zip(pixels, depths, distances, shades, strict=True):
-            if depth.min() > NEAR:
-                points = [(x, y) for x, y in outline.tolist()]
-                self._queue.append((float(distance), points, (int(shade[0]), int(shade[1]), int(shade[2])), 0))
+        corners = corners[facing]
+        pixels, depths = self.lens.project(corners)
+        seen = self._seen(pixels, depths, part)
+        distances = np.linalg.norm(corners[seen].mean(axis=1) - self.lens.origin, axis=1)
+        shades = np.clip(np.outer(brightness[seen], color), 0, 255).astype(int)
+        faces = zip(distances.tolist(), pixels[seen].reshape(-1, 8).tolist(), shades.tolist(), strict=True)
+        self._queue.extend((distance, points, (red, green, blue), 0) for distance, points, (red, green, blue) in faces)
 
     def line(self, start: Array, end: Array, color: Color) -> None:
         """A line, as thick as an eighth of a foot."""
         pixels, depth = self.lens.project(np.stack([start, end]))
         if depth.min() > NEAR:
-            points = [(x, y) for x, y in pixels.tolist()]
             # in front of what it acts on
-            self._queue.append((float(depth.mean()) - 0.3, points, color, 2 * SUPERSAMPLING))
+            self._queue.append((float(depth.mean()) - 0.3, pixels.ravel().tolist(), color, 2 * SUPERSAMPLING))
 
     def flush(self) -> None:
         """Draws what was collected."""
@@ -322,13 +336,12 @@ def _font() -> Any:
 
 def _draw_ground(canvas: _Canvas, camera: Camera) -> None:
     """Tiles around the camera's target."""
-    x, y = (TILE * round(value / TILE) for value in camera.target[:2])
-    for i in range(-TILES_SHOWN, TILES_SHOWN):
-        for j in range(-TILES_SHOWN, TILES_SHOWN):
-            left, front = x + TILE * i, y + TILE * j
-            corners = [(left, front), (left + TILE, front), (left + TILE, front + TILE), (left, front + TILE)]
-            even = (round(left / TILE) + round(front / TILE)) % 2
-            canvas.flat(np.array([(a, b, 0.0) for a, b in corners]), GROUND[even], at_once=True)
+    numbers = np.arange(-TILES_SHOWN, TILES_SHOWN)
+    x, y = (TILE * (round(value / TILE) + numbers) for value in camera.target[:2])
+    starts = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((len(x), len(y)))], axis=-1).reshape(-1, 1, 3)
+    corners = starts + TILE * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    odd = np.rint(starts[:, 0, :2] / TILE).astype(int).sum(axis=1) % 2
+    canvas.fill(corners, [GROUND[number] for number in odd.tolist()])
 
 
 def _heading(quaternion: Sequence[float] | npt.NDArray[np.float64]) -> Array:
