@@ -1429,6 +1429,23 @@ def train_config(name: str, above: Sequence[str | os.PathLike[str]] = ...) -> Tr
         ConfigError: for a file that cannot be read, and for a name that only files `above` have.
     """
 
+def explain_task(name: str, overrides: Sequence[str] = ...) -> tuple[list[tuple[str, str]], str]:
+    """The files of a task with what they say, and the task with all defaults, as TOML.
+
+    The file that extends no other comes first. The last text has all layers, overrides and
+    defaults.
+
+    Raises:
+        UnknownNameError: for a name that does not exist.
+        ConfigError: for a config or an override that cannot be used.
+    """
+
+def explain_robot(name: str) -> tuple[list[tuple[str, str]], str]:
+    """The files of a robot's config and the config, as `explain_task` gives a task.
+
+    Raises as `explain_task`.
+    """
+
 def check_names(task: str | None = None, robots: Sequence[str] = ..., overrides: Sequence[str] = ...) -> None:
     """Reads the configs of a task and of robots, and the task's overrides, without a simulation.
 

@@ -81,6 +81,20 @@ impl Layers {
         })
     }
 
+    /// The files with what the config takes from each of them, the one that extends no other first.
+    /// A layer that the library makes on top of a file is called by both.
+    pub(super) fn named(&self) -> Vec<(String, Table)> {
+        let mut named: Vec<(String, Table)> = Vec::with_capacity(self.0.len());
+        for layer in &self.0 {
+            named.iter_mut().for_each(|(_, table)| IDENTITY.iter().for_each(|key| drop(table.remove(*key))));
+            let file = layer.document.file.clone();
+            let is_made = named.iter().any(|(other, _)| *other == file);
+            let name = if is_made { format!("made by the library from {file}") } else { file };
+            named.push((name, layer.table.clone()));
+        }
+        named
+    }
+
     /// The same error, blamed on the override or on the uppermost file that sets its element.
     pub(super) fn locate(&self, error: ConfigError, overridden: &[String]) -> ConfigError {
         if overridden.iter().any(|path| is_within(&error.element, path)) {

@@ -88,6 +88,15 @@ pub struct LoadedTask {
     pub hash: u64,
 }
 
+/// A config and where it comes from.
+#[derive(Clone, Debug)]
+pub struct Explained {
+    /// Its files with what each of them says, the one that extends no other first.
+    pub layers: Vec<(String, Table)>,
+    /// All layers, overrides and defaults in one table.
+    pub resolved: Table,
+}
+
 /// A training config, read but not parsed.
 #[derive(Clone, Debug)]
 pub struct TrainFile {
@@ -238,6 +247,24 @@ impl Library {
         let (config, resolved) = layers.typed(overrides, TaskConfig::validate)?;
         let hash = fnv1a(resolved.to_string().as_bytes());
         Ok(LoadedTask { config, resolved, hash })
+    }
+
+    /// A task as [`Library::task`] reads it, with the files that it comes from.
+    ///
+    /// # Errors
+    /// As [`Library::task`].
+    pub fn explain_task(&self, name: &str, overrides: &[String]) -> Result<Explained, ConfigError> {
+        let resolved = self.task(name, overrides)?.resolved;
+        Ok(Explained { layers: self.layers_of_task(name)?.named(), resolved })
+    }
+
+    /// A robot's config with the files that it comes from.
+    ///
+    /// # Errors
+    /// As [`Library::robot`].
+    pub fn explain_robot(&self, name: &str) -> Result<Explained, ConfigError> {
+        let LoadedRobot { layers, resolved, .. } = self.robot(name)?;
+        Ok(Explained { layers: layers.named(), resolved })
     }
 
     /// The name of the Play variant of a task, for [`Library::task`]: without noise, pushes,

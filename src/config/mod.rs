@@ -20,7 +20,7 @@ pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
 pub(crate) use layer::Layers;
-pub use library::{Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
+pub use library::{Explained, Library, LoadedRobot, LoadedTask, NetworkFile, PATH_VARIABLE, TrainFile};
 pub use names::{RobotEntry, TaskEntry, TrainEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;

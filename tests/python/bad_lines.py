@@ -224,6 +224,10 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         {"": FILES, "--episodes": COUNTS, "--robots": NAMES, "--clips": NAMES, "--threads": COUNTS}
         | {"--seed": _SEEDS, "--json": OUTPUTS, "--set": OVERRIDES},
     ),
+    "show": (
+        (Positional("velocity_flat"), "--only", "sim"),
+        {"": [*NAMES, *FILES], "--kind": NAMES, "--set": OVERRIDES, "--only": NAMES},
+    ),
     "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES}),
     "accuracy": (
         ("--robots", "nobody"),
@@ -243,6 +247,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
 _POLYPOD_SWITCHES = {
     "": ("--version", "-V"),
     "list": ("--json", "--no-json"),
+    "show": ("--json", "--no-json"),
     "terms": ("--json", "--no-json"),
     "train": ("--headless", "--no-headless"),
     "compare": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--markdown", "--no-markdown"),

@@ -23,7 +23,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use exceptions::{guarded, to_python, unsigned, value_error, whole};
-use polypod::config::{EARTH_GRAVITY, Library};
+use polypod::config::{ConfigError, EARTH_GRAVITY, Explained, Library};
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
 use polypod::learner::Worker;
@@ -97,6 +97,30 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
     Ok(dict)
 }
 
+/// Files with what they say, and the whole, as TOML.
+type ExplainedTexts = (Vec<(String, String)>, String);
+
+fn texts_of(py: Python<'_>, found: Result<Explained, ConfigError>) -> PyResult<ExplainedTexts> {
+    let found = found.map_err(|error| to_python(py, error.into()))?;
+    let layers = found.layers.into_iter().map(|(file, table)| (file, table.to_string()));
+    Ok((layers.collect(), found.resolved.to_string()))
+}
+
+#[doc = docstring!("explain_task")]
+#[pyfunction]
+#[pyo3(signature = (name, overrides=Vec::new()))]
+fn explain_task(py: Python<'_>, name: &str, overrides: Vec<String>) -> PyResult<ExplainedTexts> {
+    let found = guarded(py, || Library::new(Vec::new()).explain_task(name, &overrides))?;
+    texts_of(py, found)
+}
+
+#[doc = docstring!("explain_robot")]
+#[pyfunction]
+fn explain_robot(py: Python<'_>, name: &str) -> PyResult<ExplainedTexts> {
+    let found = guarded(py, || Library::new(Vec::new()).explain_robot(name))?;
+    texts_of(py, found)
+}
+
 #[doc = docstring!("check_names")]
 #[pyfunction]
 #[pyo3(signature = (task=None, robots=Vec::new(), overrides=Vec::new()))]
@@ -112,7 +136,7 @@ fn check_names(py: Python<'_>, task: Option<&str>, robots: Vec<String>, override
         }
         Ok(())
     };
-    guarded(py, check)?.map_err(|error: polypod::config::ConfigError| to_python(py, error.into()))
+    guarded(py, check)?.map_err(|error: ConfigError| to_python(py, error.into()))
 }
 
 #[doc = docstring!("play_task")]
@@ -274,6 +298,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(command_specs, module)?)?;
     module.add_function(wrap_pyfunction!(train_config, module)?)?;
     module.add_function(wrap_pyfunction!(check_names, module)?)?;
+    module.add_function(wrap_pyfunction!(explain_task, module)?)?;
+    module.add_function(wrap_pyfunction!(explain_robot, module)?)?;
     module.add_function(wrap_pyfunction!(play_task, module)?)?;
     module.add_function(wrap_pyfunction!(training_task, module)?)?;
     module.add_function(wrap_pyfunction!(disturbances, module)?)?;

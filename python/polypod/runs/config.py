@@ -84,6 +84,16 @@ def load(name: str, overrides: Sequence[str] = ()) -> TrainConfig:
     return changed(parse(_load_tables(name), name), overrides, name)
 
 
+def layers(name: str) -> list[tuple[str, dict[str, Any]]]:
+    """The files of a train config with what they say, the one that extends no other first.
+
+    Raises ConfigError for a file that cannot be read.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    _add_layers(name, None, (), found)
+    return list(found.items())
+
+
 def changed(config: TrainConfig, overrides: Sequence[str], source: str) -> TrainConfig:
     """A config with overrides, as of `load`; `source` names it in errors. Raises ConfigError."""
     if not overrides:
@@ -115,11 +125,9 @@ def parse(tables: dict[str, Any], source: str) -> TrainConfig:
 
 def _load_tables(name: str) -> dict[str, Any]:
     """The tables of a config on top of those that it extends, by the rules of tasks and robots."""
-    layers: dict[str, dict[str, Any]] = {}
-    _add_layers(name, None, (), layers)
     merged: dict[str, Any] = {}
-    for name, tables in layers.items():
-        merged = _merged(merged, tables, name)
+    for file, tables in layers(name):
+        merged = _merged(merged, tables, file)
     return merged
 
 
