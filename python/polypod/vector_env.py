@@ -19,8 +19,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from polypod import _core
-from polypod.motions import tracking
-from polypod.motions.options import split
+from polypod.motions.names import observes_motions, split
 from polypod.python_terms import Declared, Memory, Terms, TermSim, load
 from polypod.python_terms.declarations import declared_by
 from polypod.registration import NAMESPACE, num_robots, task_of
@@ -494,12 +493,18 @@ def simulator(terms: Terms | None, task: str, num_envs: int, *, play: bool = Fal
     options["overrides"] = changes
     if terms is None:
         sim = _core.VecSim(task, num_envs, **options)
-        if not own and not tracking.observes_motions(sim):
+        if not own and not observes_motions(sim):
             return sim
+        from polypod.motions import tracking  # it needs an extra
+
         terms, _ = tracking.terms_of_task(task, options.get("robots"), given)
         if terms is None:
             return sim
+    elif terms.options is None and not own:
+        return TermSim(task, num_envs, terms=terms, play=play, **options)
     else:
+        from polypod.motions import tracking
+
         terms = tracking.again(terms, task, options.get("robots"), changes, own)
     options["overrides"] = tracking.widths(terms, changes)
     return TermSim(task, num_envs, terms=terms, play=play, **options)

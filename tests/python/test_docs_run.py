@@ -327,7 +327,7 @@ def check_names(arguments: list[str], page: str) -> None:
     for option, value in itertools.pairwise(arguments):
         match option:
             case "--task":
-                is_made = "bodies generate" in page and value == bodies.TASK
+                is_made = ("bodies generate" in page and value == bodies.TASK) or f"--out {value}" in page
                 assert value in known_tasks() or is_made, value
             case "--robot" | "--robots" | "--quadrupeds":
                 for name in value.split(","):

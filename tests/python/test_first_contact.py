@@ -192,7 +192,8 @@ def test_lists_as_json(cli):
     train_configs = listed.pop("train_configs")
     assert {"flat", "quick", "rough_universal"} <= {config["name"] for config in train_configs}
     commands = {command["name"]: command["columns"] for command in listed.pop("commands")}
-    assert {"base_velocity", "gait", "heading", "none", "pose", "position"} == set(commands)
+    kinds = {"base_velocity", "foot_placement", "gait", "heading", "jump", "none", "pose", "position"}
+    assert kinds == set(commands)
     assert commands["pose"] == ["height", "roll", "pitch"]
     assert listed == {"tasks": polypod.tasks(), "robots": polypod.robots(), "policies": policies}
     assert json.loads(cli("list", "robots", "--json").stdout) == {"robots": polypod.robots()}

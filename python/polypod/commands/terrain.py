@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from polypod import _core
-from polypod.commands.arguments import Overrides, arg, check_names
+from polypod.commands.arguments import Name, Overrides, arg, check_names
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Terrain:
 
     out: Path
     """A .png (shaded map), .stl (triangles) or .npz (heights); with --heights a .toml, the task."""
-    task: str | None = None
+    task: Name = None
     """Name or alias of the task. Default: velocity_rough; with --heights velocity_flat, which the
     new task extends."""
     set: Overrides = ()

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from polypod import _core, runs
 from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
-from polypod.motions.options import split
+from polypod.motions.names import split
 
 Learner = Literal["auto", "native", "rsl_rl"]
 

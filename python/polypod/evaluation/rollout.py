@@ -13,7 +13,7 @@ from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import measures, walking
 from polypod.evaluation.results import Evaluation, robot_result
-from polypod.motions.options import split
+from polypod.motions.names import split
 from polypod.networks.policies import Policy, reset
 from polypod.python_terms import Terms
 from polypod.registration import num_robots

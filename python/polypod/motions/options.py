@@ -11,8 +11,8 @@ from msgspec import Meta
 
 from polypod import _core
 from polypod.compat import tomllib
+from polypod.motions.names import PREFIX
 
-PREFIX = "motions."
 FILE = Path(__file__).parent / "tracking.toml"
 
 Positive = Annotated[float, Meta(gt=0.0, le=1e6)]
@@ -71,12 +71,6 @@ class Options(msgspec.Struct, forbid_unknown_fields=True):
 
 
 _AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Changes of the task, and of the options without `motions.`."""
-    own = [text.removeprefix(PREFIX) for text in overrides if text.startswith(PREFIX)]
-    return [text for text in overrides if not text.startswith(PREFIX)], own
 
 
 def options(changes: Sequence[str] = ()) -> Options:

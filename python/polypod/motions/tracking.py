@@ -17,26 +17,18 @@ from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.motions import library, sampling, turns
 from polypod.motions.body import body_of
-from polypod.motions.options import Options, RewardOptions, options, parse, split
+from polypod.motions.names import COMMAND, observes_motions, split
+from polypod.motions.options import Options, RewardOptions, options, parse
 from polypod.motions.reference import Errors, Reference, errors
 from polypod.python_terms import Declared, Memory, Terms
 from polypod.python_terms import declarations as terms
-from polypod.python_terms.sim import declared_in
 
 Ids = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
-COMMAND = "motion_command"
-"""Observation by which a task tracks motions."""
 LOOK_AHEAD = 3
 """Frames that the tasks' `motion_command` observes without a change."""
 SOURCE = "motions"
-
-
-def observes_motions(sim: _core.VecSim) -> bool:
-    """Whether the task of a simulator tracks motions."""
-    task = tomllib.loads(sim.resolved_config())["task"]
-    return any(name == COMMAND for _, name in declared_in(task))
 
 
 def terms_of_task(task: str, robots: Sequence[str] | None, overrides: Sequence[str]) -> tuple[Terms | None, list[str]]:

@@ -1,0 +1,24 @@
+"""Names by which tasks that track motions are known; nothing here needs an extra."""
+
+from collections.abc import Sequence
+
+from polypod import _core
+from polypod.compat import tomllib
+from polypod.python_terms.sim import declared_in
+
+PREFIX = "motions."
+"""Beginning of the overrides that are options of tracking tasks."""
+COMMAND = "motion_command"
+"""Observation by which a task tracks motions."""
+
+
+def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Changes of the task, and of the options without `motions.`."""
+    own = [text.removeprefix(PREFIX) for text in overrides if text.startswith(PREFIX)]
+    return [text for text in overrides if not text.startswith(PREFIX)], own
+
+
+def observes_motions(sim: _core.VecSim) -> bool:
+    """Whether the task of a simulator tracks motions."""
+    task = tomllib.loads(sim.resolved_config())["task"]
+    return any(name == COMMAND for _, name in declared_in(task))
