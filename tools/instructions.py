@@ -26,9 +26,9 @@ ROOT = Path(__file__).resolve().parents[1]
 STORED = ROOT / "tools" / "instructions.json"
 PROGRAM = ROOT / "target" / "release" / "polypod-sim"
 BOUND = 0.02
-"""Largest difference from the stored count. Two runs of a build differ by less than 0.001."""
+"""Largest difference from the stored count."""
 STEPS = (2, 22)
-"""Control steps of the two runs. Robots fall in the second one, so resets are counted."""
+"""Control steps of the two runs. No episode ends in them, so resets are not counted."""
 ENVS_PER_ROBOT = 64
 TASKS = {
     "velocity_flat": ("unitree_a1",),
