@@ -8,9 +8,10 @@ The text of a row is the first sentence of its file's own comment.
 import sys
 from pathlib import Path
 
+from generated import ROOT, main
+
 from polypod.compat import tomllib
 
-ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "gallery.md"
 
 HEAD = """# Gallery of configs
@@ -63,18 +64,5 @@ def _base(content: dict[str, object]) -> str:
     return ", ".join(f"`{name}`" for name in names) if isinstance(names, list) else ""
 
 
-def main(arguments: list[str]) -> int:
-    """Writes the page, or with --check says whether it is the present one."""
-    if arguments not in ([], ["--check"]):
-        print(__doc__, file=sys.stderr)
-        return 2
-    if not arguments:
-        PAGE.write_text(page())
-    elif PAGE.read_text() != page():
-        print("docs/gallery.md is not what configs/ say; run python tools/gallery.py", file=sys.stderr)
-        return 1
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1:], __doc__, PAGE, page))

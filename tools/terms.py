@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from generated import ROOT, main
+
 from polypod import _core
 
-ROOT = Path(__file__).parents[1]
 OUT = ROOT / "python" / "polypod" / "builtin_terms.json"
 KINDS = {
     "reward": "rewards",
@@ -69,13 +70,13 @@ class Reader:
         everything = "\n".join(self.files.values())
         self.constants = dict(CONSTANT.findall(everything))
         self.units = {name: unit.strip() for name, _, _, unit in QUANTITY.findall(everything)}
-        self.needs = {name: list(dict.fromkeys(commands)) for name, commands in self._commands(everything)}
+        self.needs = self._commands(everything)
 
     def text(self, word: str) -> str:
         """A literal, or the value of a constant."""
         return word.strip('"') if word.startswith('"') else self.constants[word]
 
-    def _commands(self, everything: str) -> Iterator[tuple[str, list[str]]]:
+    def _commands(self, everything: str) -> dict[str, list[str]]:
         """Names of terms and of the commands that they follow."""
         found: dict[str, list[str]] = {}
         for loop in re.finditer(r"for term in \[(.*?)\] \{(.*?)\}", everything, re.DOTALL):
@@ -87,13 +88,13 @@ class Reader:
                 found.setdefault(term, []).extend(map(self.text, loop[1].split(", ")))
         for term, command in re.findall(r'needs_command\("(\w+)", ([A-Z_]+|"\w+")\)', everything):
             found.setdefault(term, []).append(self.text(command))
-        yield from found.items()
+        return found
 
     def terms(self) -> Iterator[dict[str, Any]]:
         """All terms, in the order of their files."""
         for path, content in sorted(self.files.items()):
             for found in REGISTRATION.finditer(content):
-                if (kind := KINDS.get(found[1])) is None or found[1] == "needs_command":
+                if (kind := KINDS.get(found[1])) is None:
                     continue
                 name = self.text(found[2])
                 call = content[found.start() : content.index(";\n", found.end())]
@@ -208,19 +209,5 @@ def reference() -> dict[str, Any]:
     return {kind: dict(sorted(terms.items())) for kind, terms in found.items()}
 
 
-def main(arguments: list[str]) -> int:
-    """Writes the file, or with --check says whether it is the present one."""
-    if arguments not in ([], ["--check"]):
-        print(__doc__, file=sys.stderr)
-        return 2
-    text = json.dumps(reference(), indent=1) + "\n"
-    if not arguments:
-        OUT.write_text(text)
-    elif OUT.read_text() != text:
-        print(f"{OUT.relative_to(ROOT)} is not what the sources say; run python tools/terms.py", file=sys.stderr)
-        return 1
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(sys.argv[1:], __doc__, OUT, lambda: json.dumps(reference(), indent=1) + "\n"))

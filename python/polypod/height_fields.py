@@ -4,6 +4,7 @@ A field becomes an obstacle of a task's TOML; heights below zero are holes in th
 """
 
 import io
+import json
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,9 @@ def write_task(out: Path, heights: Array, cell: float, task: str) -> None:
     size = [round(cell * (count - 1), 9) for count in heights.shape]
     rows = ",\n".join("    [" + ", ".join(f"{height:.{DIGITS}f}" for height in row) + "]" for row in heights + 0.0)
     words = [word.capitalize() for word in "".join(c if c.isalnum() else " " for c in out.stem).split()]
-    text = f"""extends = "{task}"
+    # a string of JSON is one of TOML; a path is relative to the file that extends it
+    base = json.dumps(str(Path(task).resolve()) if task.endswith(".toml") else task, ensure_ascii=False)
+    text = f"""extends = {base}
 name = "{"-".join([*words, "v0"])}"
 
 [[scene.obstacles]]

@@ -90,26 +90,15 @@ def _origin(
             return OVERRIDE
     for file, table in reversed(layers):
         node: Any = table
-        for place, step in enumerate(path):
-            is_there, inner = step.of(node)
+        # values of a list, or in place of a table, are this file's: those below it have no say
+        is_whole = False
+        for step in path:
+            is_whole |= not isinstance(node, Mapping)
+            is_there, node = step.of(node)
             if not is_there:
-                if isinstance(node, list) or (place and not isinstance(node, Mapping)):
-                    # the list is this file's: those below it have no say
-                    return DEFAULT
                 break
-            node = inner
         else:
             return file
-        if any(isinstance(_at(table, path[:end]), list) for end in range(1, len(path))):
+        if is_whole:
             return DEFAULT
     return DEFAULT
-
-
-def _at(table: Any, path: Sequence[_Step]) -> Any:
-    """The node at a path; None where there is none."""
-    node = table
-    for step in path:
-        is_there, node = step.of(node)
-        if not is_there:
-            return None
-    return node

@@ -488,25 +488,15 @@ def simulator(terms: Terms | None, task: str, num_envs: int, *, play: bool = Fal
         ConfigError: as `VecSim` and `polypod.python_terms.TermSim`; for options `motions.` of a
             task that tracks no motions.
     """
-    given = list(options.get("overrides", ()))
-    changes, own = split(given)
+    changes, own = split(options.get("overrides", ()))
     options["overrides"] = changes
-    if terms is None:
-        sim = _core.VecSim(task, num_envs, **options)
-        if not own and not observes_motions(sim):
-            return sim
+    if terms is None and not own and not observes_motions(task, changes):
+        return _core.VecSim(task, num_envs, **options)
+    if terms is None or terms.options is not None or own:
         from polypod.motions import tracking  # it needs an extra
 
-        terms, _ = tracking.terms_of_task(task, options.get("robots"), given)
-        if terms is None:
-            return sim
-    elif terms.options is None and not own:
-        return TermSim(task, num_envs, terms=terms, play=play, **options)
-    else:
-        from polypod.motions import tracking
-
         terms = tracking.again(terms, task, options.get("robots"), changes, own)
-    options["overrides"] = tracking.widths(terms, changes)
+        options["overrides"] = tracking.widths(terms, changes)
     return TermSim(task, num_envs, terms=terms, play=play, **options)
 
 

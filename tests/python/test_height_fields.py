@@ -90,6 +90,16 @@ def test_bad_files_are_refused_by_name(tmp_path, capsys):
     assert "--heights" in capsys.readouterr().err
 
 
+def test_a_task_of_another_folder_is_extended(tmp_path, monkeypatch, stairs):
+    """Paths of `extends` are relative to the file that has them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "base.toml").write_text('extends = "velocity_flat"\nname = "Base-v0"\n[sim]\ndt = 0.004\n')
+    (tmp_path / "out").mkdir()
+    height_fields.write_task(tmp_path / "out" / "mine.toml", stairs, 0.1, "base.toml")
+    env = polypod.make(str(tmp_path / "out" / "mine.toml"), 1, robots=["unitree_go2"], threads=1)
+    assert env.sim.step_dt == pytest.approx(4 * 0.004)
+
+
 def test_a_negative_zero_and_digits_are_plain(tmp_path):
     height_fields.write_task(tmp_path / "t.toml", np.array([[-0.0, 1 / 3], [0.0, 2e-5]]), 0.5, "velocity_flat")
     text = (tmp_path / "t.toml").read_text()

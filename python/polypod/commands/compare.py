@@ -16,7 +16,6 @@ from polypod.commands.arguments import (
     arg,
     check_names,
     names,
-    positive,
     thread_count,
     write_json,
 )
@@ -33,6 +32,7 @@ SHOWN = {
     "power": ("power, W", ".1f"),
 }
 """Figures of the table, with heading and format; the file of --json has all."""
+MOST_SEEDS = 1000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Compare:
             torch.set_num_threads(threads)
         if len(self.checkpoints) < 2:
             raise _core.ConfigError(f"compare takes two policies or more, not {len(self.checkpoints)}")
-        if not LEAST_SEEDS <= (positive(self.num_seeds, "--num-seeds") or 0) <= MOST_SEEDS:
+        if not LEAST_SEEDS <= self.num_seeds <= MOST_SEEDS:
             raise _core.ConfigError(f"--num-seeds {self.num_seeds} must be from {LEAST_SEEDS} to {MOST_SEEDS}")
         checkpoints = [runs.resolve(checkpoint) for checkpoint in self.checkpoints]
         if robots is None:
@@ -157,8 +157,6 @@ class Compare:
         say("")
         say(_verdict(comparison))
 
-
-MOST_SEEDS = 1000
 
 _BAR = "evaluations"
 _NAMES = {"first": "A", "second": "B", None: "-"}

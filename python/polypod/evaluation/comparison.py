@@ -9,7 +9,7 @@ from typing import Any
 from polypod import _core
 from polypod.evaluation.checkpoints import evaluate_checkpoint
 from polypod.evaluation.results import Evaluation, finite
-from polypod.evaluation.seeds import CONFIDENCE, WALKING, Interval, interval
+from polypod.evaluation.seeds import CONFIDENCE, WALKING, Interval, check_alike, interval
 
 LEAST_SEEDS = 3
 """Fewest seeds: an interval over two is wider than any difference."""
@@ -89,14 +89,7 @@ def compare(first: Sequence[Evaluation], second: Sequence[Evaluation]) -> Compar
     if min(len(first), len(second)) < LEAST_SEEDS:
         raise _core.ConfigError(f"{min(len(first), len(second))} seeds have no interval; take {LEAST_SEEDS} at least")
     for ours, theirs in zip(first, second, strict=True):
-        for key in ("seed", "num_envs", "episodes", "duration_s", "randomized", "grid", "commands"):
-            found = getattr(ours, key), getattr(theirs, key)
-            if found[0] != found[1]:
-                raise _core.ConfigError(f"evaluations to compare differ in {key}: {found[0]} and {found[1]}")
-        if list(ours.robots) != list(theirs.robots):
-            raise _core.ConfigError(
-                f"evaluations to compare differ in robots: {', '.join(ours.robots)} and {', '.join(theirs.robots)}"
-            )
+        check_alike(ours, theirs, "seed", "num_envs", "episodes")
     names = list(first[0].robots)
     robots = {name: _differences(first, second, [name]) for name in names}
     if len(names) > 1:

@@ -69,12 +69,7 @@ def summarize(evaluations: Sequence[Evaluation]) -> Summary:
         raise _core.ConfigError("there is no evaluation to summarise")
     first = evaluations[0]
     for other in evaluations[1:]:
-        for key in ("task", "robots", "duration_s", "randomized", "grid", "commands"):
-            ours, theirs = (getattr(each, key) for each in (first, other))
-            if key == "robots":
-                ours, theirs = list(ours), list(theirs)
-            if ours != theirs:
-                raise _core.ConfigError(f"evaluations to compare differ in {key}: {ours} and {theirs}")
+        check_alike(first, other, "task")
     robots = {}
     for robot in first.robots:
         results = [each.robots[robot] for each in evaluations]
@@ -83,6 +78,16 @@ def summarize(evaluations: Sequence[Evaluation]) -> Summary:
         if len(walks) == len(results):
             robots[robot] |= {key: interval([getattr(figures, key) for figures in walks]) for key in WALKING}
     return Summary(list(evaluations), robots)
+
+
+def check_alike(first: Evaluation, other: Evaluation, *more: str) -> None:
+    """Raises ConfigError for evaluations of other robots or conditions, or that differ in more."""
+    for key in (*more, "robots", "duration_s", "randomized", "grid", "commands"):
+        ours, theirs = (getattr(each, key) for each in (first, other))
+        if key == "robots":
+            ours, theirs = ", ".join(ours), ", ".join(theirs)
+        if ours != theirs:
+            raise _core.ConfigError(f"evaluations to compare differ in {key}: {ours} and {theirs}")
 
 
 def interval(values: Sequence[float], confidence: float = CONFIDENCE) -> Interval:

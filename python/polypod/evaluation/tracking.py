@@ -14,7 +14,7 @@ from polypod.evaluation.rollout import play_task, undisturbed
 from polypod.motions import library
 from polypod.motions.body import body_of
 from polypod.motions.options import parse
-from polypod.motions.reference import Errors, Reference, errors
+from polypod.motions.reference import Errors, Reference, errors_in
 from polypod.networks.policies import Policy, reset
 from polypod.python_terms import Terms, TermSim
 from polypod.runs.own_terms import terms_of_run
@@ -149,9 +149,7 @@ class Trial:
             sim.step(policy(sim.observation))
             for robot, seen in self.seen.items():
                 rows = slice(*sim.env_ids(robot))
-                links = sim.links(robot)
-                parts = [links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")]
-                found = errors(seen.reference, sim.view.memory["motion_frame"][rows, 0], *parts)
+                found = errors_in(sim, robot, seen.reference, sim.view.memory["motion_frame"][rows, 0])
                 seen.add(found, sim.terminated[rows], sim.truncated[rows])
             if self.is_over:
                 break

@@ -44,6 +44,7 @@ def read(path: Path) -> Motion:
     return found
 
 
+@functools.lru_cache(maxsize=64)
 def duration(clip: str) -> float:
     """Length of a clip, s, without making it for a body. Raises ConfigError."""
     if _is_file(clip):

@@ -18,7 +18,7 @@ def split(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
     return [text for text in overrides if not text.startswith(PREFIX)], own
 
 
-def observes_motions(sim: _core.VecSim) -> bool:
-    """Whether the task of a simulator tracks motions."""
-    task = tomllib.loads(sim.resolved_config())["task"]
-    return any(name == COMMAND for _, name in declared_in(task))
+def observes_motions(task: str, changes: Sequence[str]) -> bool:
+    """Whether a task with these changes tracks motions. Raises as `explain_task`."""
+    _, resolved = _core.explain_task(task, list(changes))
+    return any(name == COMMAND for _, name in declared_in(tomllib.loads(resolved)))

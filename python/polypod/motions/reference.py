@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from polypod import rotations
+from polypod import _core, rotations
 from polypod.arrays import Array
 from polypod.motions import turns
 from polypod.motions.body import Body
@@ -132,3 +132,9 @@ def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array
         link_lin_vel=reference.link_lin_vel[frame] - lin[:, keys],
         link_ang_vel=reference.link_ang_vel[frame] - ang[:, keys],
     )
+
+
+def errors_in(sim: _core.VecSim, robot: str, reference: Reference, frame: Ids) -> Errors:
+    """`errors` of a robot's envs in a simulator."""
+    links = sim.links(robot)
+    return errors(reference, frame, *(links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")))

@@ -19,7 +19,7 @@ from polypod.motions import library, sampling, turns
 from polypod.motions.body import body_of
 from polypod.motions.names import COMMAND, observes_motions, split
 from polypod.motions.options import Options, RewardOptions, options, parse
-from polypod.motions.reference import Errors, Reference, errors
+from polypod.motions.reference import Errors, Reference, errors_in
 from polypod.python_terms import Declared, Memory, Terms
 from polypod.python_terms import declarations as terms
 
@@ -37,35 +37,38 @@ def terms_of_task(task: str, robots: Sequence[str] | None, overrides: Sequence[s
     Raises ConfigError for options of another task, and for unknown ones.
     """
     changes, own = split(overrides)
-    sources = _core.task_robots(task, changes) if robots is None else list(robots)
-    plain = [*(text for text in changes if not text.startswith("env_shares.")), "env_shares=null"]
-    sim = _core.VecSim(task, len(sources), robots=sources, threads=1, overrides=plain)
-    if not observes_motions(sim):
-        if own:
-            raise _core.ConfigError(
-                f"--set motions.{own[0]}: {sim.task_name} tracks no motions; leave it out, or take the task "
-                "tracking_flat_humanoid"
-            )
+    if not own and not observes_motions(task, changes):
         return None, changes
-    return declared(options(own), sources), changes
+    return again(None, task, robots, changes, own), changes
 
 
-def again(found: Terms, task: str, robots: Sequence[str] | None, changes: Sequence[str], own: Sequence[str]) -> Terms:
+def again(
+    found: Terms | None, task: str, robots: Sequence[str] | None, changes: Sequence[str], own: Sequence[str]
+) -> Terms:
     """The terms for these robots, or those of the task, with changed options.
 
-    Raises ConfigError for options of terms that are no task's own.
+    `found` are the terms so far; None: those of the task, with the usual options.
+
+    Raises ConfigError for options of a task that tracks no motions, and of terms that are no task's
+    own.
     """
-    if found.options is None:
-        if own:
+    if found is None:
+        if own and not observes_motions(task, changes):
             raise _core.ConfigError(
-                f"--set motions.{own[0]}: --terms {found.path} takes no options of tracking tasks; leave it out"
+                f"--set motions.{own[0]}: {task} tracks no motions; leave it out, or take the task "
+                "tracking_flat_humanoid"
             )
-        return found
-    tables: dict[str, Any] = dict(found.options)
-    if own:
-        tables = tomllib.loads(_core.with_overrides(json.dumps(tables), list(own)))
-    sources = _core.task_robots(task, list(changes)) if robots is None else robots
-    return declared(parse(tables, "motions"), sources)
+        settled = options(own)
+    elif found.options is None:
+        raise _core.ConfigError(
+            f"--set motions.{own[0]}: --terms {found.path} takes no options of tracking tasks; leave it out"
+        )
+    else:
+        tables = found.options
+        if own:
+            tables = tomllib.loads(_core.with_overrides(json.dumps(dict(tables)), list(own)))
+        settled = parse(tables, "motions")
+    return declared(settled, _core.task_robots(task, list(changes)) if robots is None else robots)
 
 
 def of_manifest(tables: dict[str, Any], name: str) -> Terms:
@@ -99,7 +102,7 @@ class Tracker:
             self.columns.append(np.array(info[robot]["columns"], dtype=np.int64))
             self.com.append(np.array(shapes[robot]["base_com"], dtype=np.float64))
         self.rows = [env.env_ids(robot) for robot in self.robots]
-        self.bins = sampling.Bins([library.duration(clip) for clip in found.clips], found.sampling, len(self.robots))
+        self.bins = _bins(found, len(self.robots))
         self._errors: list[Errors] | None = None
 
     def clear(self) -> None:
@@ -111,9 +114,7 @@ class Tracker:
         if self._errors is None:
             self._errors = []
             for robot, reference, rows in zip(self.robots, self.references, self.rows, strict=True):
-                links = env.sim.links(robot)
-                parts = [links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")]
-                self._errors.append(errors(reference, env.memory["motion_frame"][rows, 0], *parts))
+                self._errors.append(errors_in(env.sim, robot, reference, env.memory["motion_frame"][rows, 0]))
         return self._errors
 
     def per_env(self, env: Any, value: Callable[[Errors, Reference], Array]) -> Array:
@@ -269,13 +270,12 @@ def declared(found: Options, sources: Sequence[str]) -> Terms:
             known = trackers[env] = Tracker(env, found, sources)
         return known
 
-    bins = sampling.Bins([library.duration(clip) for clip in found.clips], found.sampling, len(sources))
     entries: list[Any] = [
         terms.memory("motion_clip", dtype="int64"),
         terms.memory("motion_frame", dtype="int64"),
         terms.memory("motion_noise", dtype="int64"),
         terms.memory("motion_turn", dtype="int64", keep=True),
-        *bins.memories(),
+        *_bins(found, len(sources)).memories(),
         *_events(tracker),
         *_observations(tracker, found),
         *_rewards(tracker, found),
@@ -284,6 +284,11 @@ def declared(found: Options, sources: Sequence[str]) -> Terms:
     ]
     kept: list[Declared | Memory | tuple[str, terms.Reward]] = list(terms.declared_by(entries))
     return Terms.of(kept, SOURCE, options=found.as_dict())
+
+
+def _bins(found: Options, robots: int) -> sampling.Bins:
+    """Bins of the clips; snapshots hold their state."""
+    return sampling.Bins([library.duration(clip) for clip in found.clips], found.sampling, robots)
 
 
 Find = Callable[[Any], Tracker]
