@@ -11,6 +11,7 @@ use super::view::RobotView;
 use super::{ResetSet, Setup, SetupSet, for_both};
 use crate::blocks::{Block, Blocks};
 use crate::components::{CurriculumProgress, Env, EnvOrigin, Episode, EpisodeSums};
+use crate::config::VELOCITY_COLUMNS;
 use crate::morphology::Morphologies;
 use crate::world::Ground;
 
@@ -260,7 +261,7 @@ impl Logs {
             if ranges.are_scheduled() {
                 let widening = (log.widening.value() / episodes) as f32;
                 let mean = ranges.at(&CurriculumProgress { steps: log.age, widening, tracking: 0.0 });
-                for (key, [low, high]) in ["lin_vel_x", "lin_vel_y", "ang_vel_z"].iter().zip(mean) {
+                for (key, [low, high]) in VELOCITY_COLUMNS.iter().zip(mean) {
                     out.insert(format!("Curriculum/{robot}/{key}_min"), f64::from(low));
                     out.insert(format!("Curriculum/{robot}/{key}_max"), f64::from(high));
                 }

@@ -176,7 +176,7 @@ fn bad_orientation(p: &Tilt, view: &RobotView, _: &Episode, _: u32) -> bool {
 
 /// The base is lower than the least height.
 fn root_height_below_minimum(p: &LeastHeight, view: &RobotView, _: &Episode, _: u32) -> bool {
-    let default = view.stance.spawn_height - view.morphology.config.reset.spawn_margin as f32;
+    let default = view.default_height();
     let least = p.minimum_height.unwrap_or_else(|| view.morphology.least_height(p.minimum_share, default));
     view.base_height() < least
 }

@@ -56,6 +56,12 @@ pub struct RobotView<'a> {
 }
 
 impl RobotView<'_> {
+    /// Height of the base above level ground in this body's default pose, m.
+    #[inline(always)]
+    pub fn default_height(&self) -> f32 {
+        self.stance.spawn_height - self.morphology.config.reset.spawn_margin as f32
+    }
+
     /// Height of the base's origin above the ground below it, m; above the mean of the ground below
     /// the height scanner's rays where the task has one, as Isaac Lab does.
     #[inline(always)]

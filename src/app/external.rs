@@ -3,6 +3,7 @@
 
 use crate::bounds::MAX_COMMAND;
 use crate::components::{EnvId, EnvOrigin};
+use crate::config::VELOCITY_COLUMNS;
 use crate::config::quantities::{Quantity, Weight};
 use crate::error::Error;
 use crate::systems::{CompiledTask, observe_external};
@@ -64,7 +65,7 @@ impl Sim {
     /// # Errors
     /// A range that is not finite, out of bounds or has its ends exchanged.
     pub fn set_command_ranges(&mut self, index: usize, ranges: [[f64; 2]; 3]) -> Result<(), Error> {
-        for ([low, high], name) in ranges.into_iter().zip(["lin_vel_x", "lin_vel_y", "ang_vel_z"]) {
+        for ([low, high], name) in ranges.into_iter().zip(VELOCITY_COLUMNS) {
             if !(-MAX_COMMAND <= low && low <= high && high <= MAX_COMMAND) {
                 let problem = format!("{name} is [{low}, {high}]");
                 let remedy = format!("pass lower and upper end, in this order, within {MAX_COMMAND}");

@@ -217,6 +217,11 @@ impl MorphologyModel {
         self.stance.spawn_height - self.config.reset.spawn_margin as f32
     }
 
+    /// Height of the hips above level ground in the default pose, m.
+    pub fn default_hip_height(&self) -> f32 {
+        self.default_height() + self.hip_height
+    }
+
     /// Largest delay of any target, physics steps.
     pub fn max_delay(&self) -> u32 {
         self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay

@@ -36,8 +36,8 @@ pub use surfaces::SurfaceConfig;
 pub use task::{
     AVIAN_SUBSTEPS, CommandConfig, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode,
     ExternalConfig, ExternalKind, HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig,
-    POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VELOCITY_COMMAND,
-    VelocityCommandConfig,
+    POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VELOCITY_COLUMNS,
+    VELOCITY_COMMAND, VelocityCommandConfig,
 };
 pub use terrain::{
     BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,

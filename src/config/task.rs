@@ -247,6 +247,8 @@ impl CommandsConfig {
 
 /// Name of the command that is a velocity of the base.
 pub const VELOCITY_COMMAND: &str = "base_velocity";
+/// Names of its numbers, which are those of its ranges.
+pub const VELOCITY_COLUMNS: [&str; 3] = ["lin_vel_x", "lin_vel_y", "ang_vel_z"];
 
 /// A command of another kind than a velocity.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]

@@ -60,7 +60,7 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 fn prepare(p: PlacementParams, robot: &MorphologyModel) -> Result<PlacementCommand, (String, String, String)> {
-    let hips = robot.default_height() + robot.hip_height;
+    let hips = robot.default_hip_height();
     let height = p.swing_height.unwrap_or(p.swing_share.map(|share| share * hips));
     Ok(PlacementCommand([p.stance_width, p.stance_length, height]))
 }

@@ -62,7 +62,7 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 fn prepare(p: JumpParams, robot: &MorphologyModel) -> Result<JumpCommand, (String, String, String)> {
-    let hips = robot.default_height() + robot.hip_height;
+    let hips = robot.default_hip_height();
     let height = p.height.unwrap_or(p.height_share.map(|share| share * hips));
     Ok(JumpCommand { time: p.time, height, length: p.length })
 }

@@ -2,7 +2,7 @@
 
 use super::wrap_to_pi;
 use crate::components::{BasePose, Command, CurriculumProgress, EnvRng};
-use crate::config::{VELOCITY_COMMAND, VelocityCommandConfig};
+use crate::config::{VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig};
 use crate::dynamics::elementary::atan2;
 use crate::dynamics::lanes::Kernel;
 use crate::systems::commanded::CommandSpec;
@@ -11,8 +11,10 @@ use crate::systems::terms::VelocityRanges;
 
 /// Registers the kind. Its numbers stand in [`Command`].
 pub(super) fn register(registry: &mut Registry) {
-    let columns = &["lin_vel_x", "lin_vel_y", "ang_vel_z"];
-    let spec = CommandSpec { columns, description: "forward and left velocity, m/s, and yaw rate, rad/s, base axes" };
+    let spec = CommandSpec {
+        columns: &VELOCITY_COLUMNS,
+        description: "forward and left velocity, m/s, and yaw rate, rad/s, base axes",
+    };
     registry.velocity_command(VELOCITY_COMMAND, spec);
     registry.needs_command("velocity_commands", VELOCITY_COMMAND);
     for term in ["track_lin_vel_xy_exp", "track_ang_vel_z_exp", "base_linear_velocity", "base_angular_velocity"] {

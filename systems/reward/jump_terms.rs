@@ -44,9 +44,8 @@ pub(super) fn register(registry: &mut Registry) {
 }
 
 fn prepare_height(p: HeightParams, robot: &MorphologyModel) -> Result<JumpHeight, (String, String, String)> {
-    let default = robot.default_height();
-    let unit = p.std * (default + robot.hip_height).max(1e-3);
-    Ok(JumpHeight { default, inverse_square: 1.0 / (unit * unit) })
+    let unit = p.std * robot.default_hip_height().max(1e-3);
+    Ok(JumpHeight { default: robot.default_height(), inverse_square: 1.0 / (unit * unit) })
 }
 
 /// Bell curve over the error of the base's height.

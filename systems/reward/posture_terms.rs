@@ -115,7 +115,7 @@ fn upright(p: &Upright, r: &RobotView) -> f32 {
 fn prepare_torso(p: TorsoParams, robot: &MorphologyModel) -> Result<Torso, Problem> {
     let default = robot.default_height();
     let target = p.target_height.unwrap_or_else(|| robot.least_height(p.target_share, default));
-    let unit = p.std * (default + robot.hip_height).max(1e-3);
+    let unit = p.std * robot.default_hip_height().max(1e-3);
     Ok(Torso { target, inverse_square: 1.0 / (unit * unit) })
 }
 

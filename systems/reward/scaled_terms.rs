@@ -11,13 +11,13 @@ use crate::systems::view::RobotView;
 pub(super) fn register(registry: &mut Registry) {
     // Mean of the squared torques, each as a share of weight times height of the base.
     registry.reward("scaled_torques_l2", |_: &NoParams, r| {
-        let load = weight(r) * stance_height(r);
+        let load = weight(r) * r.default_height();
         if load > 0.0 { mean_square(&r.effort.applied) / (load * load) } else { 0.0 }
     });
     // Mean of the squared joint accelerations, each in units of gravity over height of the base.
     registry.reward("scaled_acc_l2", |_: &NoParams, r| {
         let gravity = r.ground.free_fall();
-        let unit = if gravity > 0.0 { stance_height(r) / gravity } else { 0.0 };
+        let unit = if gravity > 0.0 { r.default_height() / gravity } else { 0.0 };
         mean_square(&r.effort.acceleration) * (unit * unit)
     });
 }
@@ -31,10 +31,4 @@ fn mean_square(x: &[f32]) -> f32 {
 #[inline(always)]
 fn weight(r: &RobotView) -> f32 {
     r.body.total_mass() * r.ground.free_fall()
-}
-
-/// Height of the base above level ground in this body's default pose, m.
-#[inline(always)]
-fn stance_height(r: &RobotView) -> f32 {
-    r.stance.spawn_height - r.morphology.config.reset.spawn_margin as f32
 }

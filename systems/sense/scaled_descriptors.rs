@@ -48,8 +48,7 @@ pub(in crate::systems) fn joint_descriptors(units: &DescriptorUnits, r: &RobotVi
     if units.units == Units::Metric {
         return;
     }
-    let margin = r.morphology.config.reset.spawn_margin as f32;
-    let height = (r.stance.spawn_height - margin + r.morphology.hip_height).max(LOWEST);
+    let height = (r.default_height() + r.morphology.hip_height).max(LOWEST);
     let free_fall = r.ground.free_fall();
     let gravity = if free_fall > 0.0 { free_fall } else { EARTH_GRAVITY as f32 };
     let mass = r.body.total_mass();

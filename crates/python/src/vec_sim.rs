@@ -18,7 +18,7 @@ use super::exceptions::{
 use super::rows::{StateArguments, env_ids, numbers};
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
-use polypod::config::{POLICY_GROUP, VELOCITY_COMMAND, VelocityCommandConfig};
+use polypod::config::{POLICY_GROUP, VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
 use polypod::workers::Workers;
@@ -886,7 +886,7 @@ impl VecSim {
         let terms = self.sim.task().command_terms.iter();
         let mut columns: BTreeMap<_, _> = terms.map(|term| (term.name.as_str(), term.columns.to_vec())).collect();
         if self.sim.task().has_velocity_command() {
-            columns.insert(VELOCITY_COMMAND, vec!["lin_vel_x", "lin_vel_y", "ang_vel_z"]);
+            columns.insert(VELOCITY_COMMAND, VELOCITY_COLUMNS.to_vec());
         }
         columns
     }
