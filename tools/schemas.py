@@ -60,7 +60,7 @@ BY_TERM = {
 }
 """Kinds of terms by the struct of the keys that all of them take."""
 READ_AS = {"Draw": "UncheckedDraw"}
-"""Structs with the same fields that the parser reads in the place of others: they say what may be left out."""
+"""Structs that the parser reads in the place of others: they say what may be left out."""
 READ_LATER = {
     "robot_overrides": "BTreeMap<String, RobotConfig>",
     "terminations": "BTreeMap<String, TerminationConfig>",
@@ -168,7 +168,7 @@ class Parser:
             self.kind(kind.removeprefix("Option<").removesuffix(">") if "Option<" in kind else kind, whole), above
         )
         description = {"description": doc(above)}
-        # draft 7 ignores what stands beside a reference
+        # draft 7 ignores what stands next to a reference
         return {**description, "allOf": [schema]} if "$ref" in schema else {**description, **schema}
 
     def kind(self, kind: str, whole: bool) -> Schema:
@@ -197,7 +197,7 @@ class Parser:
         return self.ref(kind, whole)
 
     def is_table(self, kind: str) -> bool:
-        """Whether a type is a table with keys of its own."""
+        """Whether a type is a table with fixed keys."""
         item = self.items.get(kind)
         return item is not None and (item.sort == "struct" or "serde(tag" in item.above)
 
@@ -264,7 +264,7 @@ class Parser:
         return {**found, "required": ["policy"]} if whole else found
 
     def by_term(self, name: str, whole: bool) -> Schema:
-        """Entries by the names of terms; other names are aliases, terms in Python and of plugins."""
+        """Entries by the names of terms; other names are aliases, Python's or plugins' terms."""
         kind = BY_TERM[name]
         entries = {
             term: {"description": found["description"], **self.of_term(name, term, whole)}
@@ -274,7 +274,7 @@ class Parser:
         return {"type": "object", "properties": entries, "additionalProperties": self.ref(name, whole)}
 
     def of_term(self, name: str, term: str, whole: bool) -> Schema:
-        """An entry whose key is a term's name: of it, or of another one that `term` names."""
+        """An entry whose key is a term's name: that term, or the one that `term` names."""
         own = {"$ref": f"#/definitions/{self.term_def(name, term, whole)}"}
         if "term" not in self.properties(self.items[name], whole)[0]:
             return {"allOf": [own]}

@@ -53,8 +53,8 @@ class RunConfig:
     normalize_advantage_per_robot: bool
     """Whether advantages are normalised among the envs of each robot."""
     symmetry: bool | str
-    """Whether each sample is learned from together with its mirror image; "alternate": from the one or
-    the other, in turn from epoch to epoch."""
+    """Whether each sample is learned from together with its mirror image; "alternate": from the
+    one or the other, in turn from epoch to epoch."""
     learner: str = "rsl_rl"
     """Learner: native, rsl_rl, or auto. Runs of manifests without this key are rsl_rl's."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
