@@ -1,21 +1,26 @@
 """Adapts the pages for MkDocs: README.md is the front page, links out of docs/ lead to GitHub."""
 
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "docs"))
+import reference  # noqa: E402
+
 LINK = re.compile(r"(\]\(|^\[[^\]]+\]: )(?!https?:|#|mailto:)([^)\s#]*)(#[^)\s]*)?", re.MULTILINE)
 LANGUAGE = re.compile(r"^```(\w+)[ ,].*$", re.MULTILINE)
 """The first line of a fenced block with remarks for the tests."""
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Adds the front page."""
+    """Adds the front page and the page of all keys."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     files.append(File.generated(config, "index.md", content=text.replace("](docs/", "](").replace("]: docs/", "]: ")))
+    files.append(File.generated(config, "reference.md", content=reference.page()))
     return files
 
 

@@ -52,7 +52,8 @@ TYPES |= {"bool": "true or false", "String": "text", "[f32; 3]": "[x, y, z]", "[
 
 def sources() -> dict[Path, str]:
     """The Rust files in which terms and their parameters stand."""
-    return {path: path.read_text() for folder in ("systems", "src/config") for path in (ROOT / folder).rglob("*.rs")}
+    paths = [path for folder in ("systems", "src/config") for path in (ROOT / folder).rglob("*.rs")]
+    return {path: path.read_text() for path in [*paths, ROOT / "src" / "robot" / "roles.rs"]}
 
 
 def plain(text: str) -> str:
@@ -151,9 +152,11 @@ class Reader:
                 return found[1]
         # the first one of two functions reads the parameters
         for function in re.findall(r"\b([a-z_0-9]+)(?=[,)]|$)", call):
-            signature = re.search(rf"fn {function}(?:<[^>]*>)?\(\s*\w+: &?(\w+),", content)
-            if signature and signature[1] not in TYPES:
-                return signature[1]
+            is_used = re.search(rf"^use .*\b{function}\b", content, re.MULTILINE)
+            for text in self.files.values() if is_used else (content,):
+                signature = re.search(rf"fn {function}(?:<[^>]*>)?\(\s*\w+: &?(\w+),", text)
+                if signature and signature[1] not in TYPES:
+                    return signature[1]
         return None
 
     def fields(self, content: str, body: str) -> Iterator[dict[str, str]]:
@@ -186,8 +189,13 @@ class Reader:
             return f"list of {self.type(content, kind[4:-1])}"
         for text in (content, *self.files.values()):
             if found := re.search(rf"enum {re.escape(kind)} \{{(.*?)\}}", text, re.DOTALL):
-                names = re.findall(r"^    (\w+),", found[1], re.MULTILINE)
+                # configs cannot name a variant that the parser skips
+                shown = re.sub(r"#\[serde\(skip\)\]\n +\w+,", "", found[1])
+                names = re.findall(r"^    (\w+),", shown, re.MULTILINE)
                 return " or ".join(re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower() for name in names)
+            for name, body in STRUCT.findall(text):
+                if name == kind and kind not in WORDS:
+                    return f"table of {', '.join(field['name'] for field in self.fields(text, body))}"
         return WORDS.get(kind, kind)
 
 

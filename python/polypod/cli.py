@@ -29,6 +29,7 @@ from polypod.commands.motions import Motions
 from polypod.commands.play import Play
 from polypod.commands.robot import Robot
 from polypod.commands.robustness import Robustness
+from polypod.commands.schema import SchemaOf
 from polypod.commands.show import Show
 from polypod.commands.sim2sim import Sim2sim
 from polypod.commands.sweep import SweepOf
@@ -58,6 +59,7 @@ Command = (
     | Annotated[Terrain, tyro.conf.subcommand("terrain")]
     | Annotated[Show, tyro.conf.subcommand("show")]
     | Annotated[Terms, tyro.conf.subcommand("terms")]
+    | Annotated[SchemaOf, tyro.conf.subcommand("schema")]
     | Annotated[List, tyro.conf.subcommand("list")]
     | Annotated[Info, tyro.conf.subcommand("info")]
 )

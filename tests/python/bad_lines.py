@@ -229,6 +229,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         {"": [*NAMES, *FILES], "--kind": NAMES, "--set": OVERRIDES, "--only": NAMES},
     ),
     "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES}),
+    "schema": ((Positional("train"),), {"": NAMES}),
     "accuracy": (
         ("--robots", "nobody"),
         {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},

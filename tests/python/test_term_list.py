@@ -20,6 +20,7 @@ PLACES = {
     "events": "events.{entry}",
     "curricula": "curriculum.{entry}",
     "commands": "commands.{entry}",
+    "observations": "observations.policy",
 }
 OF_ALL = {
     "rewards": {"term", "weight", "enabled"},
@@ -27,6 +28,7 @@ OF_ALL = {
     "events": {"term", "mode", "enabled", "interval_range_s"},
     "curricula": {"term", "enabled"},
     "commands": {"term", "enabled", "resampling_time_s"},
+    "observations": {"term", "noise", "error", "clip", "scale", "history_length", "external"},
 }
 """Keys of all terms of a kind."""
 
@@ -53,8 +55,10 @@ def complaint(kind, name, keys):
     if kind == "events":
         mode = TERMS[kind][name]["modes"].split(", ")[0]
         table |= {"enabled": True, "mode": mode, **({"interval_range_s": [1.0, 2.0]} if mode == "interval" else {})}
-    text = json.dumps(table | keys).replace('": ', '" = ')
+    entry = [{"term": name} | keys] if kind == "observations" else table | keys
+    text = json.dumps(entry).replace('": ', '" = ')
     others = [f"commands.{command}={text}" for command, text in COMMANDS.items() if command != name]
+    others += ["sensors.height_scanner={size=[0.2, 0.2], resolution=0.1}"]
     try:
         polypod.make(
             "velocity_flat", 1, robots=["unitree_go2"], threads=1, overrides=[*others, f"{place}={text}"]

@@ -296,6 +296,23 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("anneal", "entropy_coef", 0.0, 1e3),
 )
 """Section, key, least and greatest value of the other numbers."""
+NUMBERS = (*_POSITIVE, *_RANGES)
+"""Section, key, least and greatest value of all numbers with bounds."""
+_CHOICES: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
+    ("algorithm", "schedule", ("adaptive", "fixed")),
+    ("algorithm", "mixed_precision", ("off", "on", "auto")),
+    ("run", "learner", LEARNERS),
+    ("run", "symmetry", (False, True, ALTERNATE)),
+)
+"""Section, key and the values that it may have."""
+CHOICES: dict[str, tuple[Any, ...]] = {
+    **{key: allowed for _, key, allowed in _CHOICES},
+    "activation": get_args(Activation),
+    "class_name": (MLP, RNN, URMA),
+    "loss_type": LOSSES,
+    "rnn_type": RNN_TYPES,
+}
+"""Values of the keys of all sections that have one of a few."""
 
 
 def _check_ranges(config: TrainConfig, source: str) -> None:
@@ -347,13 +364,7 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         _check_network(network, f"{source}: [{section}]")
     _check_groups(config, source)
     _check_extensions(config, source)
-    choices: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
-        ("algorithm", "schedule", ("adaptive", "fixed")),
-        ("algorithm", "mixed_precision", ("off", "on", "auto")),
-        ("run", "learner", LEARNERS),
-        ("run", "symmetry", (False, True, ALTERNATE)),
-    )
-    for section, key, allowed in choices:
+    for section, key, allowed in _CHOICES:
         value = getattr(getattr(config, section), key)
         if value not in allowed:
             names = ", ".join(str(name).lower() if isinstance(name, bool) else name for name in allowed)

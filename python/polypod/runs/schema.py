@@ -39,13 +39,22 @@ class RunConfig:
     """`[run]`: how much to simulate."""
 
     task: str
+    """Name, alias or path of the task."""
     num_envs: int
+    """Number of envs, of all robots together."""
     max_iterations: int
+    """Iterations of a training."""
     num_steps_per_env: int
+    """Control steps of each env in an iteration."""
     save_interval: int
+    """Iterations between two checkpoints."""
     normalize_reward_per_robot: bool
+    """Whether rewards are divided by the deviation of their robot's returns."""
     normalize_advantage_per_robot: bool
+    """Whether advantages are normalised among the envs of each robot."""
     symmetry: bool | str
+    """Whether each sample is learned from together with its mirror image; "alternate": from the
+    one or the other, in turn from epoch to epoch."""
     learner: str = "rsl_rl"
     """Learner: native, rsl_rl, or auto. Runs of manifests without this key are rsl_rl's."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
@@ -60,19 +69,33 @@ class AlgorithmConfig:
     """`[algorithm]`: PPO, in rsl_rl's words."""
 
     num_learning_epochs: int
+    """Passes over an iteration's samples."""
     num_mini_batches: int
+    """Mini-batches of a pass."""
     learning_rate: float
+    """Step size of Adam; with the schedule "adaptive" the first one."""
     schedule: str
+    """Whether the learning rate follows the divergence of the policies."""
     desired_kl: float
+    """Divergence of the policy before and after an update that the adaptive schedule aims at."""
     gamma: float
+    """Discount of rewards per control step."""
     lam: float
+    """Decay of generalised advantage estimates."""
     clip_param: float
+    """Largest change of an action's probability that the loss rewards, as a share."""
     use_clipped_value_loss: bool
+    """Whether changes of values are clipped in the same way."""
     value_loss_coef: float
+    """Weight of the loss of values."""
     entropy_coef: float
+    """Weight of the entropy, which keeps the policy exploring."""
     max_grad_norm: float
+    """Largest norm of a gradient; greater ones are scaled down."""
     normalize_advantage_per_mini_batch: bool
+    """Whether advantages are normalised in each mini-batch, not over all samples."""
     mixed_precision: str
+    """Whether networks compute in bfloat16; "auto": where that is faster."""
     critic_warmup_iterations: int = 0
     """First iterations, in which the critic learns alone: weights and deviations of the actor stay
     as they begin, with `--init` those of a policy that walks."""
@@ -87,8 +110,11 @@ class AnnealConfig:
     """
 
     start: float
+    """Share of the iterations after which the goals begin to move."""
     entropy_coef: float
+    """Weight of the entropy in the end."""
     desired_kl: float
+    """Divergence that the adaptive schedule aims at in the end."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -96,14 +122,23 @@ class CriticConfig:
     """`[critic]`: a multi-layer perceptron, a recurrent network, or a network of joints."""
 
     class_name: str = MLP
+    """Kind of network."""
     hidden_dims: list[int]
+    """Widths of the hidden layers."""
     activation: str
+    """Function between layers."""
     obs_normalization: bool
+    """Whether observations are normalised by their mean and deviation so far."""
     joint_dim: int | None = None
+    """Width of the vector of a joint; networks of joints need it."""
     num_heads: int | None = None
+    """Heads of the attention over joints; networks of joints need it."""
     rnn_type: str | None = None
+    """Kind of recurrent layer; recurrent networks need it."""
     rnn_hidden_dim: int | None = None
+    """Width of a recurrent layer; recurrent networks need it."""
     rnn_num_layers: int | None = None
+    """Number of recurrent layers; recurrent networks need it."""
 
     def model_cfg(self, sim: _core.VecSim | None, groups: Sequence[str] = (OBSERVATION_GROUP,)) -> dict[str, Any]:
         """The network's constructor arguments, with the class names that rsl_rl resolves.
@@ -132,6 +167,7 @@ class ActorConfig(CriticConfig):
     """`[actor]`: a network whose output is the mean of a Gaussian with a learned deviation."""
 
     init_std: float
+    """Standard deviation of the actions at the beginning."""
 
     def model_cfg(self, sim: _core.VecSim | None, groups: Sequence[str] = (OBSERVATION_GROUP,)) -> dict[str, Any]:
         """As of the critic, with the distribution."""
@@ -157,9 +193,13 @@ class ObsGroupsConfig:
     """
 
     actor: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    """Groups that the actor sees."""
     critic: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    """Groups that the critic sees."""
     rnd_state: list[str] = dataclasses.field(default_factory=lambda: [OBSERVATION_GROUP])
+    """Groups in which random network distillation looks for new states."""
     teacher: list[str] = dataclasses.field(default_factory=lambda: ["teacher"])
+    """Groups that the teacher of a distillation sees."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -167,13 +207,21 @@ class RndConfig:
     """`[rnd]`: random network distillation, a reward for new observations, as in rsl_rl."""
 
     weight: float
+    """Weight of the reward."""
     num_outputs: int = 1
+    """Numbers that the networks give."""
     predictor_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    """Widths of the hidden layers of the network that learns."""
     target_hidden_dims: list[int] = dataclasses.field(default_factory=lambda: [64, 64])
+    """Widths of the hidden layers of the network that is learned."""
     activation: str = "elu"
+    """Function between layers."""
     state_normalization: bool = True
+    """Whether observations are normalised."""
     reward_normalization: bool = True
+    """Whether the reward is divided by its deviation."""
     learning_rate: float = 1e-3
+    """Step size of Adam."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -197,6 +245,7 @@ class DistillationConfig:
     gradient_length: int = 15
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
+    """Loss between the actions of student and teacher."""
 
     def share_of_teachers(self, iteration: int) -> float:
         """Share of the envs in which teachers act in an iteration, counted from 0."""
