@@ -176,6 +176,49 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
     assert torch.allclose(state["actor_state_dict"]["mlp.code.weight"], learnt["mlp.code.weight"], atol=0.05)
 
 
+@pytest.mark.parametrize(("weights", "share"), [("robots", 1 / 3), ("envs", 4 / 6)])
+def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_path, monkeypatch, weights, share):
+    rates, sums = [], []
+
+    def recorded(self, observations):
+        rates.extend(group["lr"] for group in self.alg.optimizer.param_groups)
+        first, stop = self.env.unwrapped.sim.env_ids("unitree_go2")
+        total = self.alg._weights.sum()
+        sums.append(float(self.alg._weights[first:stop].sum() / total))
+        assert float(total) == pytest.approx(1.0)
+        loss = original(self, observations)
+        errors = {robot: loss[f"behavior/{robot}"] for robot in ROBOTS}
+        others = (1.0 - share) / 2
+        mean = share * errors["unitree_go2"] + others * (errors["phantomx"] + errors["solo12"])
+        assert loss["behavior"] == pytest.approx(mean, rel=1e-4)
+        return loss
+
+    original = Runner._update
+    monkeypatch.setattr(Runner, "_update", recorded)
+    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
+    options = session.Options(
+        **OPTIONS,
+        log_dir=tmp_path,
+        task=TASK,
+        robots=ROBOTS,
+        num_envs=12,
+        max_iterations=3,
+        train_config="any_legged",
+        overrides=[
+            *GROUPS,
+            *SHORT,
+            "env_shares.unitree_go2=4",
+            "train.run.symmetry=false",
+            "train.algorithm.learning_rate=0.003",
+            f"train.distillation={{teachers={{{named}}}, gradient_length=1, weights='{weights}', "
+            "final_learning_rate=0.001}",
+        ],
+    )
+    assert session.train(options) == 0
+    assert rates == pytest.approx([0.003, 0.002, 0.001])
+    assert sums == pytest.approx([share] * 3)
+
+
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -187,6 +230,8 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
         (["train.distillation={teacher=PHANTOMX, teacher_share=0.5}"], "teacher_share is of"),
         (["train.distillation={teachers={'*'='quadruped'}, teacher_share=1.5}"], "must be from 0 to 1"),
         (["train.distillation={teachers={'*'=3}}"], r"teachers.* must be of type"),
+        (["train.distillation={teachers={'*'='quadruped'}, weights='joints'}"], "weights = 'joints' is not one of"),
+        (["train.distillation={teachers={'*'='quadruped'}, final_learning_rate=0.0}"], "must be above 0 and at most 1"),
         (["train.distillation={teacher='quadruped'}"], "for bodies with the same joints.*distillation.teachers"),
         (
             ["train.distillation={teachers={'*'='quadruped'}}", f"observations.teacher={terms(STUDENT)}"],

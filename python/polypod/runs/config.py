@@ -18,6 +18,7 @@ from polypod.files import read_bytes, real_path
 from polypod.runs.manifest import MAX_LAYER, Activation, check_size
 from polypod.runs.schema import (
     ALTERNATE,
+    EQUALS,
     LEARNERS,
     LOSSES,
     MLP,
@@ -310,6 +311,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "activation": get_args(Activation),
     "class_name": (MLP, RNN, URMA),
     "loss_type": LOSSES,
+    "weights": EQUALS,
     "rnn_type": RNN_TYPES,
 }
 """Values of the keys of all sections that have one of a few."""
@@ -477,5 +479,10 @@ def _check_teachers(distillation: DistillationConfig, where: str) -> None:
         raise _core.ConfigError(f"{where} teacher_share = {distillation.teacher_share} must be from 0 to 1")
     if distillation.teacher_share > 0.0 and distillation.teacher is not None:
         raise _core.ConfigError(f"{where} teacher_share is of [distillation.teachers]; name the teacher there")
+    rate = distillation.final_learning_rate
+    if rate is not None and not 0.0 < rate <= 1.0:
+        raise _core.ConfigError(f"{where} final_learning_rate = {rate} must be above 0 and at most 1")
+    if distillation.weights not in EQUALS:
+        raise _core.ConfigError(f"{where} weights = {distillation.weights!r} is not one of {', '.join(EQUALS)}")
     if not 1 <= distillation.teacher_iterations <= 2**31:
         raise _core.ConfigError(f"{where} teacher_iterations = {distillation.teacher_iterations} must be at least 1")

@@ -1,6 +1,7 @@
 """`configs/train/*.toml`: what is typed there, and turned into the configuration of a learner."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +21,8 @@ ALTERNATE = "alternate"
 LEARNERS = ("auto", "native", "rsl_rl")
 RNN_TYPES = ("lstm", "gru")
 LOSSES = ("mse", "huber")
+EQUALS = ("robots", "envs")
+"""What may count equally in the loss of a student."""
 OTHERS = "*"
 """Key of `[distillation.teachers]` for all robots that it does not name."""
 NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")
@@ -246,6 +249,19 @@ class DistillationConfig:
     """Control steps between two steps of the optimiser."""
     loss_type: str = "mse"
     """Loss between the actions of student and teacher."""
+    weights: str = "robots"
+    """With `teachers`, what counts equally in the loss: "robots", however many envs they have, or
+    "envs", so that `[env_shares]` of the task say how much a robot counts."""
+    final_learning_rate: float | None = None
+    """With `teachers`, the learning rate of the last iteration, to which it falls from that of
+    `[algorithm]` along a cosine; none: it stays."""
+
+    def learning_rate(self, first: float, iteration: int, iterations: int) -> float:
+        """Learning rate of an iteration, counted from 0, of a training that begins at `first`."""
+        if self.final_learning_rate is None:
+            return first
+        share = min(iteration / max(iterations - 1, 1), 1.0)
+        return self.final_learning_rate + (first - self.final_learning_rate) * 0.5 * (1.0 + math.cos(math.pi * share))
 
     def share_of_teachers(self, iteration: int) -> float:
         """Share of the envs in which teachers act in an iteration, counted from 0."""
@@ -446,7 +462,7 @@ class TrainConfig:
             "check_for_nan": True,
         }
         if of.teachers is not None:
-            many = {**cfg["algorithm"], "class_name": MANY_TEACHERS, "teachers": of.teachers}
+            many = {**cfg["algorithm"], "class_name": MANY_TEACHERS, "teachers": of.teachers, "weights": of.weights}
             return {**cfg, "algorithm": many, "student": _masked(self.actor, sim, self.obs_groups.actor)}
         assert of.teacher is not None
         if sim is not None and sim.is_padded:

@@ -239,7 +239,10 @@ class Runner(OnPolicyRunner):
     def _iterate(self, iteration: int, stop: int, observations: TensorDict) -> TensorDict:
         started, waited = time.perf_counter(), self.workers.waited
         if isinstance(self.alg, ManyTeachers) and self.config.distillation is not None:
-            self.alg.teacher_share = self.config.distillation.share_of_teachers(iteration)
+            of, run = self.config.distillation, self.config.run
+            self.alg.teacher_share = of.share_of_teachers(iteration)
+            rate = of.learning_rate(self.config.algorithm.learning_rate, iteration, run.max_iterations)
+            self.alg.set_learning_rate(rate)
         with self.workers.names_the_lost():
             observations = self._collect(observations)
             collected = time.perf_counter()

@@ -237,7 +237,7 @@ class Teachers(torch.nn.Module):
 
 
 class ManyTeachers(Distillation):
-    """rsl_rl's distillation with `Teachers`: robots count equally, joints that they lack not.
+    """rsl_rl's distillation with `Teachers`: robots or envs count equally, missing joints not.
 
     In a share of each robot's envs the teacher acts in the student's place: a student that falls at
     once sees nothing of walking.
@@ -246,9 +246,10 @@ class ManyTeachers(Distillation):
     teacher: Teachers
     last_hidden_states: tuple[Any, Any]
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        """As rsl_rl's."""
+    def __init__(self, *args: Any, weights: str = "robots", **kwargs: Any) -> None:
+        """As rsl_rl's; `weights` says what counts equally, "robots" or "envs"."""
         super().__init__(*args, **kwargs)
+        self._by_robot = weights == "robots"
         self.teacher_share = 0.0
         """Share of each robot's envs in which the teacher acts."""
         self._counts: JointCounts | None = None
@@ -270,7 +271,7 @@ class ManyTeachers(Distillation):
         return made
 
     def weigh(self, sim: _core.VecSim, groups: Mapping[str, list[str]], workers: Workers) -> None:
-        """Weighs errors: the mean over a robot's joints and envs, then over robots.
+        """Weighs errors: the mean over a robot's joints, then over its envs and robots, or all envs.
 
         Args:
             sim: of the student.
@@ -284,14 +285,24 @@ class ManyTeachers(Distillation):
         weights = torch.zeros_like(mask)
         order = torch.zeros(len(mask))
         joints = mask.sum(dim=1, keepdim=True).clamp(min=1.0)
+        total = float(counts.sum())
         for (start, stop), count in zip(blocks, counts.tolist(), strict=True):
-            weights[start:stop] = mask[start:stop] / (joints[start:stop] * count * len(blocks))
+            equal = count * len(blocks) if self._by_robot else total
+            weights[start:stop] = mask[start:stop] / (joints[start:stop] * equal)
             order[start:stop] = (torch.arange(stop - start, dtype=torch.float64) * GOLDEN % 1.0).float()
         # workers average their gradients
         self._weights = (weights * workers.count).to(self.device)
         self._order = order.unsqueeze(1).to(self.device)
         self._counts = JointCounts(len(mask), int(mask.sum()), int(mask.sum(dim=1).max()))
-        self._robots = [(robot, block) for robot, block in zip(sim.robots, blocks, strict=True) if block[0] < block[1]]
+        shares = [1.0 / len(blocks) if self._by_robot else count / total for count in counts.tolist()]
+        of_robots = zip(sim.robots, blocks, shares, strict=True)
+        self._robots = [(robot, *block, share) for robot, block, share in of_robots if block[0] < block[1]]
+
+    def set_learning_rate(self, rate: float) -> None:
+        """Sets the step of the optimiser."""
+        self.learning_rate = rate
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
 
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Actions of the student, or of the teacher with the student's noise."""
@@ -350,10 +361,9 @@ class ManyTeachers(Distillation):
 
     def _figures(self, losses: torch.Tensor) -> dict[str, float]:
         of_envs = losses.sum(dim=1)
-        sums = torch.stack([of_envs.sum(), *(of_envs[start:stop].sum() for _, (start, stop) in self._robots)]).tolist()
-        count = len(self._robots)
-        of_robots = {f"behavior/{robot}": count * own for (robot, _), own in zip(self._robots, sums[1:], strict=True)}
-        return {"behavior": sums[0], **of_robots}
+        sums = torch.stack([of_envs.sum(), *(of_envs[start:stop].sum() for _, start, stop, _ in self._robots)]).tolist()
+        own = zip(self._robots, sums[1:], strict=True)
+        return {"behavior": sums[0], **{f"behavior/{robot}": own_sum / share for (robot, *_, share), own_sum in own}}
 
     def save(self) -> dict[str, Any]:
         """The student and its optimiser; teachers stay where they are."""
