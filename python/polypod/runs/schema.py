@@ -22,7 +22,7 @@ LEARNERS = ("auto", "native", "rsl_rl")
 RNN_TYPES = ("lstm", "gru")
 LOSSES = ("mse", "huber")
 EQUALS = ("robots", "envs")
-"""What may count equally in the loss of a student."""
+"""Values of `weights` of a distillation."""
 OTHERS = "*"
 """Key of `[distillation.teachers]` for all robots that it does not name."""
 NATIVE_ACTIVATIONS = ("elu", "relu", "tanh")

@@ -271,7 +271,7 @@ class ManyTeachers(Distillation):
         return made
 
     def weigh(self, sim: _core.VecSim, groups: Mapping[str, list[str]], workers: Workers) -> None:
-        """Weighs errors: the mean over a robot's joints, then over its envs and robots, or all envs.
+        """Weighs errors: the mean over the joints of a robot, then over robots or over all envs.
 
         Args:
             sim: of the student.
