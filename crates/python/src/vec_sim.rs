@@ -719,10 +719,13 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.links")]
-    fn links<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyDict>> {
+    #[pyo3(signature = (robot, names=None))]
+    fn links<'py>(&mut self, py: Python<'py>, robot: &str, names: Option<Vec<String>>) -> PyResult<Bound<'py, PyDict>> {
         let index = self.robot_index(py, robot)?;
-        let (n, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
-        let rows = self.sim.run(py, |sim| sim.links(index))?;
+        let (n, all) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
+        let links = names.as_ref().map_or(all, Vec::len);
+        let rows = self.sim.run(py, |sim| sim.links(index, names.as_deref()))?;
+        let rows = rows.map_err(|error| to_python(py, error))?;
         let entries = PyDict::new(py);
         for (name, numbers, width) in [
             ("pos", rows.position, 3),
