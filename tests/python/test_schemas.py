@@ -79,7 +79,7 @@ def test_keys_are_those_that_the_parser_takes(name):
     with pytest.raises(ConfigError) as caught:
         # robots of a task are read when it is made
         polypod.make("velocity_rough", 1, robots=["unitree_go2"], overrides=[override]).close()
-    known = re.search(r"known keys: (.*)$", str(caught.value))
+    known = re.search(r"known keys: (.*) \(see `polypod (?:terms|show` and `polypod schema)`\)$", str(caught.value))
     assert known, caught.value
     found = {key.strip(" .`") for key in known[1].split(",")}
     assert found == set(SCHEMAS["task"]["definitions"][name]["properties"]), caught.value
