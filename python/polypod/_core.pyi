@@ -857,6 +857,15 @@ class VecSim:
             ConfigError: with any autoreset but "disabled".
         """
 
+    def truncate(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Ends the episodes of the envs in the mask, bool [num_envs], as out of time.
+
+        As `terminate`; an episode that failed in the last step stays failed.
+
+        Raises:
+            ConfigError: with any autoreset but "disabled".
+        """
+
     def env_origins(self) -> npt.NDArray[np.float64]:
         """[num_envs, 3], origins of the envs in the world, m; a copy.
 

@@ -52,6 +52,19 @@ impl Sim {
     /// # Errors
     /// A mask of the wrong length, or a simulation that resets ended episodes by itself.
     pub fn terminate(&mut self, mask: &[bool]) -> Result<(), Error> {
+        self.end_episodes(mask, true)
+    }
+
+    /// Ends the episodes of these envs as out of time, as a termination of the task with `time_out`
+    /// would have in the last control step. An episode that failed in that step stays failed.
+    ///
+    /// # Errors
+    /// As [`terminate`](Self::terminate).
+    pub fn truncate(&mut self, mask: &[bool]) -> Result<(), Error> {
+        self.end_episodes(mask, false)
+    }
+
+    fn end_episodes(&mut self, mask: &[bool], has_failed: bool) -> Result<(), Error> {
         if mask.len() != self.num_envs() {
             let problem = format!("{} entries for {} envs", mask.len(), self.num_envs());
             return Err(Error::argument("mask", problem, "pass one entry per env"));
@@ -63,12 +76,15 @@ impl Sim {
         let world = self.world_mut();
         for (env, mut episode) in world.query::<(&EnvId, &mut Episode)>().iter_mut(world) {
             if mask[env.0 as usize] {
-                (episode.terminated, episode.truncated, episode.needs_reset) = (true, false, true);
+                episode.terminated |= has_failed;
+                episode.truncated = !episode.terminated;
+                episode.needs_reset = true;
             }
         }
         let mut batch = world.resource_mut::<Batch>();
         for (env, _) in mask.iter().enumerate().filter(|(_, ends)| **ends) {
-            (batch.terminated[env], batch.truncated[env]) = (true, false);
+            batch.terminated[env] |= has_failed;
+            batch.truncated[env] = !batch.terminated[env];
         }
         Ok(())
     }
