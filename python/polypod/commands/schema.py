@@ -9,7 +9,7 @@ import tyro
 
 from polypod.commands.arguments import arg
 
-Kind = Literal["task", "robot", "train"]
+Kind = Literal["task", "robot", "train", "tracking", "motion"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,7 @@ class SchemaOf:
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, arg(metavar="KIND")]
-    """task, robot or train."""
+    """task, robot, train, tracking (`--set motions.`) or motion (key poses)."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -23,8 +23,8 @@ class Terms:
     name: Annotated[str | None, tyro.conf.Positional, arg(metavar="NAME")] = None
     """Name of a term, of which all is said. Default: one line for each term."""
     kind: Annotated[Kind | None, arg(metavar="KIND")] = None
-    """Terms of this kind alone: rewards, observations, terminations, events, commands, curricula;
-    with --terms also metrics, memories."""
+    """Terms of this kind alone: rewards, observations, terminations, events, commands, curricula,
+    tracking; with --terms also metrics, memories."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """The terms of this Python file in the place of the built-in ones. The file is run."""
     json: bool = False
