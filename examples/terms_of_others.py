@@ -41,7 +41,7 @@ def bell(error, std):
 
 
 def upright_error(env, velocity):
-    """Commanded less actual velocity in axes that turn with the heading alone, of one in base axes."""
+    """Commanded velocity less one in base axes, in axes that turn with the heading alone."""
     x, y, z = np.einsum("nij,nj->in", rotations.matrix(env.base_quat), velocity)
     heading = rotations.heading(env.base_quat)
     cosine, sine = np.cos(heading), np.sin(heading)

@@ -32,7 +32,7 @@ pub struct LinkRows {
     pub contact_force: Vec<f32>,
 }
 
-/// What the links of an env follow from.
+/// Components that the links of an env follow from.
 type Columns<'w> = (&'w EnvId, &'w BasePose, &'w BaseVelocity, &'w JointState, &'w Body, &'w ContactForces);
 
 impl Sim {

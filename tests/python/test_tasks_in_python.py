@@ -295,6 +295,19 @@ def test_the_example_trains_resumes_is_evaluated_played_and_exported(learner, cl
     assert "clock" in done.stderr
 
 
+def test_the_example_resets_to_the_states_that_it_gives():
+    env = make(str(EXAMPLE), overrides=["sim.episode_length_s=0.2"])
+    env.reset(seed=3)
+    for step in range(25):
+        begun = env.sim.episode_length == 0
+        assert begun.any() == (step % 10 == 0), step
+        rows = np.flatnonzero(begun)
+        speed = env.state.base_lin_vel[rows]
+        np.testing.assert_allclose(speed[rows % 2 == 1], np.tile([0.0, 0.0, 1.0], (rows.size // 2, 1)), atol=1e-6)
+        assert np.abs(speed[rows % 2 == 0] - [0.0, 0.0, 1.0]).sum(axis=1).min(initial=1.0) > 1e-4
+        env.step(np.zeros((env.num_envs, env.sim.num_actions), dtype=np.float32))
+
+
 def test_terms_of_other_projects_run_on_different_bodies():
     file = EXAMPLE.with_name("terms_of_others.py")
     env = make(str(file), task="velocity_rough_legged", robots=["spot", "unitree_g1"])

@@ -99,7 +99,7 @@ class Drawing(msgspec.Struct, forbid_unknown_fields=True):
     """A motion drawn as key poses: `polypod motions draw FILE.toml`."""
 
     title: str
-    """What the robot does."""
+    """The motion in a few words."""
     duration: Annotated[float, Meta(gt=0.0, le=600.0)]
     """Length of the motion, s."""
     pose: list[Pose] = field(default_factory=list)

@@ -94,7 +94,7 @@ class Tracker:
         self.references: list[Reference] = []
         self.columns: list[Ids] = []
         self.ahead: list[Array] = []
-        """Of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
+        """Joints of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
         self.com: list[Array] = []
         shapes = json.loads(env.sim.robot_shapes())
         for robot, source in zip(self.robots, sources, strict=True):

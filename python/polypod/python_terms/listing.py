@@ -1,4 +1,4 @@
-"""What a file of terms declares, in the form of `polypod.term_list.read`."""
+"""Lists the terms that a file declares, in the form of `polypod.term_list.read`."""
 
 import dataclasses
 import inspect
