@@ -16,7 +16,7 @@ KINDS = {
     "commands": "Kinds of commands",
 }
 TITLES = {"task": "Tasks", "robot": "Robots", "train": "Train configs"}
-TITLES |= {"tracking": "Tracking tasks", "motion": "Drawn motions"}
+TITLES |= {"tracking": "Tracking tasks", "motion": "Drawn motions", "sweep": "Sweeps"}
 INTRODUCTION = """# Keys of configs
 
 All keys that a task, a robot and a train config may have, with their values. `polypod schema task`

@@ -1,8 +1,8 @@
 """Writes python/polypod/schemas/*.json, which editors and the page of all keys read.
 
 A task's and a robot's keys are the fields of the structs that the parser reads, with their doc
-comments. A train config's keys are the fields of `polypod.runs.schema`, those of motions the fields
-of `polypod.motions`. Terms are those of tools/terms.py.
+comments. A train config's keys are the fields of `polypod.runs.schema`, those of motions and sweeps the
+fields of structs that read them. Terms are those of tools/terms.py.
 
     python tools/schemas.py [--check]
 """
@@ -25,6 +25,7 @@ import terms as terms_of_rust
 
 from polypod.motions import key_poses, options
 from polypod.runs import config as train_config
+from polypod.training import sweep
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "python" / "polypod" / "schemas"
@@ -485,6 +486,7 @@ def schemas() -> dict[str, Schema]:
         "train": train_schema(),
         "tracking": tracking_schema(),
         "motion": struct_schema(key_poses.Drawing, "polypod drawn motion"),
+        "sweep": struct_schema(sweep.SweepFile, "polypod sweep"),
     }
 
 

@@ -9,7 +9,7 @@ import tyro
 
 from polypod.commands.arguments import arg
 
-Kind = Literal["task", "robot", "train", "tracking", "motion"]
+Kind = Literal["task", "robot", "train", "tracking", "motion", "sweep"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,7 @@ class SchemaOf:
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, arg(metavar="KIND")]
-    """task, robot, train, tracking (`--set motions.`) or motion (key poses)."""
+    """task, robot, train, tracking (`--set motions.`), motion (key poses) or sweep."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
