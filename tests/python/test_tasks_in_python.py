@@ -363,6 +363,18 @@ def test_terms_of_the_table_of_costs_are_the_same_in_both_languages():
         np.testing.assert_allclose(other, one, rtol=1e-3, atol=1e-6, err_msg=name)
 
 
+def test_terms_may_compute_with_torch():
+    def declared(lib):
+        height = (lambda env: torch.tensor(env.base_height)) if lib is torch else (lambda env: env.base_height)
+        return [
+            terms.observation(size=1, name="high")(lambda env: 2.0 * height(env)),
+            terms.reward(weight=1.0, name="cost")(lambda env: lib.square(height(env))),
+            terms.termination(name="low")(lambda env: height(env) < 0.2),
+        ]
+
+    assert same(*(drive(make(declared(lib)), 40) for lib in (np, torch)))
+
+
 def test_a_term_may_end_episodes_as_out_of_time():
     @terms.termination(time_out=True)
     def far(env):

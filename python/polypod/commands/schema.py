@@ -31,6 +31,6 @@ class SchemaOf:
 
 def read(kind: Kind) -> dict[str, Any]:
     """The schema of a kind of file."""
-    file = resources.files("polypod").joinpath("schemas", f"{kind}.json")
+    file = resources.files("polypod") / "schemas" / f"{kind}.json"
     schema: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     return schema
