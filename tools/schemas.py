@@ -1,8 +1,8 @@
 """Writes python/polypod/schemas/*.json, which editors and the page of all keys read.
 
 A task's and a robot's keys are the fields of the structs that the parser reads, with their doc
-comments. A train config's keys are the fields of `polypod.runs.schema`, those of motions and sweeps the
-fields of structs that read them. Terms are those of tools/terms.py.
+comments. A train config's keys are the fields of `polypod.runs.schema`, those of motions and sweeps
+the fields of structs that read them. Terms are those of tools/terms.py.
 
     python tools/schemas.py [--check]
 """
