@@ -16,6 +16,7 @@ KINDS = {
     "commands": "Kinds of commands",
 }
 TITLES = {"task": "Tasks", "robot": "Robots", "train": "Train configs"}
+TITLES |= {"tracking": "Tracking tasks", "motion": "Drawn motions", "sweep": "Sweeps"}
 INTRODUCTION = """# Keys of configs
 
 All keys that a task, a robot and a train config may have, with their values. `polypod schema task`
@@ -113,12 +114,16 @@ class Writer:
         words = {"integer": "whole number", "boolean": "true or false", "string": "text", "object": "table"}
         text = words.get(schema["type"], schema["type"])
         if schema["type"] == "array":
-            return (f"{schema['minItems']} x " if "minItems" in schema else "list of ") + self.value(schema["items"])
+            is_fixed = "minItems" in schema and schema.get("maxItems") == schema["minItems"]
+            return (f"{schema['minItems']} x " if is_fixed else "list of ") + self.value(schema["items"])
         inner = schema.get("additionalProperties")
         if isinstance(inner, dict) and inner:
             return f"table of {self.value(inner)}"
         if "minimum" in schema and "maximum" in schema:
             return f"{text}, {schema['minimum']:,} to {schema['maximum']:,}"
+        if "exclusiveMinimum" in schema:
+            end = f" to {schema['maximum']:,}" if "maximum" in schema else ""
+            return f"{text}, above {schema['exclusiveMinimum']:,}{end}"
         return f"{text}, {schema['minimum']:,} or above" if "minimum" in schema else text
 
     def named(self, place: str) -> str:

@@ -1,4 +1,4 @@
-"""Adapts the pages for MkDocs: README.md is the front page, links out of docs/ lead to GitHub."""
+"""Adapts the pages for MkDocs: files of the root are pages, links out of docs/ lead to GitHub."""
 
 import re
 import sys
@@ -16,10 +16,15 @@ LANGUAGE = re.compile(r"^```(\w+)[ ,].*$", re.MULTILINE)
 """The first line of a fenced block with remarks for the tests."""
 
 
+OF_ROOT = {"index.md": "README.md", "changelog.md": "CHANGELOG.md", "contributing.md": "CONTRIBUTING.md"}
+"""Pages that are files of the repository's root."""
+
+
 def on_files(files: Files, config: Any) -> Files:
-    """Adds the front page and the page of all keys."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    files.append(File.generated(config, "index.md", content=text.replace("](docs/", "](").replace("]: docs/", "]: ")))
+    """Adds the pages of the root and the page of all keys."""
+    for page, source in OF_ROOT.items():
+        text = (ROOT / source).read_text(encoding="utf-8").replace("](docs/", "](").replace("]: docs/", "]: ")
+        files.append(File.generated(config, page, content=text))
     files.append(File.generated(config, "reference.md", content=reference.page()))
     return files
 
@@ -32,7 +37,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
         inside = (ROOT / "docs" / target).resolve()
         if not target or (inside.is_file() and inside.is_relative_to(ROOT / "docs")):
             return match[0]
-        outside = (ROOT / target).resolve() if page.file.src_uri == "index.md" else inside
+        outside = (ROOT / target).resolve() if page.file.src_uri in OF_ROOT else inside
         if not outside.exists():
             return match[0]  # MkDocs warns of it, which is an error
         return f"{before}{config.repo_url}/blob/main/{outside.relative_to(ROOT)}{anchor}"

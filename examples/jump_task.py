@@ -1,6 +1,7 @@
 """A task of one's own in Python: robots that trot, and jump to a commanded height.
 
-A command, an observation with history, a reward, a termination, an event, a curriculum and a curve:
+A command, an observation with history, a reward, a termination, events, resets to given states, a
+curriculum and a curve:
 
     polypod train --task velocity_flat --robots unitree_go2 --terms examples/jump_task.py
 """
@@ -60,6 +61,13 @@ def nudge(env, ids):
     velocity = np.zeros((env.num_envs, 3), dtype=np.float32)
     velocity[ids, 1] = env.random.uniform(-0.5, 0.5, ids)[:, 0]
     env.sim.push(velocity)
+
+
+@terms.event(mode="reset")
+def in_flight(env, ids):
+    """Every second robot begins in the air, on its way up."""
+    mine = ids[ids % 2 == 1]
+    env.sim.set_state(mine, base_pos=env.base_pos[mine] + np.float32([0.0, 0.0, 0.1]), base_lin_vel=[0.0, 0.0, 1.0])
 
 
 @terms.curriculum()

@@ -6,9 +6,9 @@ use bevy_ecs::prelude::*;
 use super::StateWritten;
 use crate::blocks::{Block, Blocks};
 use crate::components::{BasePose, BaseVelocity, Body, Env, EnvOrigin, Episode, Feet, JointState, Robot};
-use crate::dynamics::lanes::Kernel;
+use crate::dynamics::lanes::{Kernel, SimdDispatch};
 use crate::dynamics::math::{Mat3, Spatial, add, dot, mul_vec, mul_vec_transposed, quat_to_mat, splat};
-use crate::dynamics::{ContactKind, HeightGrid, Parameters, Scalar, Topology, Workspace, point_motion};
+use crate::dynamics::{ContactKind, HeightGrid, Parameters, Topology, Workspace, forward_kinematics, point_motion};
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::{Pool, Workers};
 use crate::world::Ground;
@@ -51,6 +51,7 @@ pub(super) fn place_robots(
         let ((bodies, velocities, joints, poses, feet), (episodes, origins)) = rows;
         pool.with(|scratch| {
             workers.dispatch().vectorize(PlacedRows {
+                simd: workers.dispatch(),
                 morphology: morphologies.get(morphology),
                 ground,
                 lifts,
@@ -69,6 +70,7 @@ pub(super) fn place_robots(
 }
 
 struct PlacedRows<'a> {
+    simd: SimdDispatch,
     morphology: &'a MorphologyModel,
     ground: &'a Ground,
     lifts: bool,
@@ -87,13 +89,15 @@ impl Kernel<f32> for PlacedRows<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { morphology, ground, lifts, work, bodies, velocities, joints, episodes, origins, poses, feet } = self;
+        let Self { simd, morphology, ground, lifts, work, bodies, velocities, joints, episodes, origins, poses, feet } =
+            self;
         for i in 0..bodies.len() {
             if !episodes[i].fresh {
                 continue;
             }
             let work = work.get_or_insert_with(|| Workspace::new(&morphology.topology));
             let posed = Posed {
+                simd,
                 topology: &morphology.topology,
                 parameters: &bodies[i].0,
                 rotation: quat_to_mat(&poses[i].rotation),
@@ -107,6 +111,7 @@ impl Kernel<f32> for PlacedRows<'_> {
 
 /// A robot, and memory for its links.
 struct Posed<'a> {
+    simd: SimdDispatch,
     topology: &'a Topology,
     parameters: &'a Parameters<f32>,
     /// Turns base axes to world axes.
@@ -129,7 +134,7 @@ impl Posed<'_> {
     ) {
         let base = Spatial { ang: velocity.angular, lin: mul_vec_transposed(&self.rotation, &velocity.linear) };
         let (q, qd) = (&joints.position, &joints.velocity);
-        f32::forward_kinematics(self.topology, self.parameters, q, qd, &base, self.work);
+        forward_kinematics(self.simd, self.topology, self.parameters, q, qd, &base, self.work);
         if self.lifts {
             self.lift(morphology, ground, origin, pose);
         }

@@ -1,8 +1,8 @@
 """Writes python/polypod/schemas/*.json, which editors and the page of all keys read.
 
 A task's and a robot's keys are the fields of the structs that the parser reads, with their doc
-comments. A train config's keys are the fields of `polypod.runs.schema`. Terms are those of
-tools/terms.py.
+comments. A train config's keys are the fields of `polypod.runs.schema`, those of motions and sweeps
+the fields of structs that read them. Terms are those of tools/terms.py.
 
     python tools/schemas.py [--check]
 """
@@ -20,9 +20,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+import msgspec
 import terms as terms_of_rust
 
+from polypod.motions import key_poses, options
 from polypod.runs import config as train_config
+from polypod.training import sweep
 
 ROOT = Path(__file__).parents[1]
 OUT = ROOT / "python" / "polypod" / "schemas"
@@ -414,10 +417,45 @@ def train_schema() -> Schema:
     }
 
 
+def struct_schema(type_: type[msgspec.Struct], title: str) -> Schema:
+    """The schema of a file that is read as a struct."""
+    (_,), found = msgspec.json.schema_components([type_], ref_template="#/definitions/{name}")
+    for name, schema in found.items():
+        schema.pop("title")
+        documented = attribute_docs(getattr(sys.modules[type_.__module__], name))
+        for key, value in schema["properties"].items():
+            # a default of the parser says nothing where it stands for an absent key
+            value = {inner: of for inner, of in value.items() if inner != "default" or of not in ([], None, {})}
+            default = f" Default: {json.dumps(value.pop('default'))}." if "default" in value else ""
+            if schema_of_some := [of for of in value.get("anyOf", []) if of != {"type": "null"}]:
+                # an absent key stands for null, which TOML lacks
+                value = schema_of_some[0] if key not in schema.get("required", ()) else value
+            if "$ref" in value:
+                value = {"allOf": [value]}
+            schema["properties"][key] = {"description": documented[key] + default, **value}
+    whole = found.pop(type_.__name__)
+    return {"$schema": DRAFT, "title": title, **whole, "definitions": found}
+
+
+def tracking_schema() -> Schema:
+    """The schema of the options of tracking tasks."""
+    schema = struct_schema(options.Options, "polypod options of tracking tasks")
+    for kind, word in (("rewards", "reward"), ("terminations", "termination")):
+        of = schema["properties"][kind].pop("additionalProperties")
+        terms = {name: text for name, (sort, text) in options.TERMS.items() if sort == word}
+        names = {name: {"description": text, "allOf": [of]} for name, text in terms.items()}
+        schema["properties"][kind] |= {"properties": names, "additionalProperties": False}
+    # `--set` changes single options
+    schema.pop("required")
+    return schema
+
+
 def attribute_docs(type_: type) -> dict[str, str]:
-    """Descriptions of a dataclass's fields: the strings below them."""
+    """Descriptions of the fields of a dataclass or a struct: the strings below them."""
     found: dict[str, str] = {}
-    for of in reversed([of for of in type_.__mro__ if dataclasses.is_dataclass(of)]):
+    is_struct = issubclass(type_, msgspec.Struct)
+    read = [type_] if is_struct else [of for of in type_.__mro__ if dataclasses.is_dataclass(of)]
+    for of in reversed(read):
         (node,) = ast.parse(textwrap.dedent(inspect.getsource(of))).body
         assert isinstance(node, ast.ClassDef)
         for field, below in zip(node.body, node.body[1:], strict=False):
@@ -446,6 +484,9 @@ def schemas() -> dict[str, Schema]:
         "task": parser.document("TaskConfig", "polypod task"),
         "robot": parser.document("RobotConfig", "polypod robot"),
         "train": train_schema(),
+        "tracking": tracking_schema(),
+        "motion": struct_schema(key_poses.Drawing, "polypod drawn motion"),
+        "sweep": struct_schema(sweep.SweepFile, "polypod sweep"),
     }
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from generated import ROOT, main
 
 from polypod import _core
+from polypod.motions.options import TERMS as TRACKING
 
 OUT = ROOT / "python" / "polypod" / "builtin_terms.json"
 KINDS = {
@@ -214,7 +215,27 @@ def reference() -> dict[str, Any]:
             before["modes"] += f", {term['modes']}"
             continue
         found[kind][name] = term
-    return {kind: dict(sorted(terms.items())) for kind, terms in found.items()}
+    found = {kind: dict(sorted(terms.items())) for kind, terms in found.items()}
+    return {**found, "tracking": {name: tracking_term(*said) for name, said in TRACKING.items()}}
+
+
+def tracking_term(sort: str, description: str) -> dict[str, Any]:
+    """A term of tracking tasks, whose parameters are set by `--set motions.`."""
+    more = {
+        "reward": [("weight", "Factor of the term."), ("std", "Width of the bell curve, in the error's units.")],
+        "termination": [("threshold", "Deviation beyond which the episode fails; null leaves it out.")],
+        "observation": [],
+    }
+    parameters = [
+        {"name": name, "type": "number", "unit": "", "required": "no", "description": text} for name, text in more[sort]
+    ]
+    words = f"{sort.capitalize()} of tasks that track motions. {description}"
+    return {
+        "description": words,
+        "parameters": parameters,
+        "commands": [],
+        "source": "python/polypod/motions/tracking.py",
+    }
 
 
 if __name__ == "__main__":

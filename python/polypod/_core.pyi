@@ -99,7 +99,7 @@ class TerrainEntry(TypedDict):
     the same origin."""
 
 class LinkStates(TypedDict):
-    """All links of the n envs of a robot, in the order of `VecSim.link_names`.
+    """Links of the n envs of a robot, in the order that `VecSim.links` was asked for.
 
     Float32. Frames are those of the URDF, world axes.
     """
@@ -772,11 +772,18 @@ class VecSim:
             ConfigError: for a number that is not finite, no step, and no such env.
         """
 
-    def links(self, robot: str) -> LinkStates:
-        """Poses, velocities and contact forces of all links in the n envs of `env_ids(robot)`.
+    def links(self, robot: str, names: Sequence[str] | None = None) -> LinkStates:
+        """Poses, velocities and contact forces of links in the n envs of `env_ids(robot)`.
 
-        Computed now, of each env's body as it was randomised; a broken state gives zeros. Raises
-        UnknownNameError.
+        Computed now, of each env's body as it was randomised; a broken state gives zeros.
+
+        Args:
+            robot: its name.
+            names: names of links, in the order of the result; None: all, as `link_names` gives
+                them. A few links take less time than all.
+
+        Raises:
+            UnknownNameError: for a robot that is not here, and a link that it does not have.
         """
 
     def step(self, actions: npt.NDArray[np.float32]) -> None:
@@ -845,6 +852,15 @@ class VecSim:
 
         `terminated`, `truncated` and the log count them as if a termination of the task had;
         `reset` them next.
+
+        Raises:
+            ConfigError: with any autoreset but "disabled".
+        """
+
+    def truncate(self, mask: npt.NDArray[np.bool_]) -> None:
+        """Ends the episodes of the envs in the mask, bool [num_envs], as out of time.
+
+        As `terminate`; an episode that failed in the last step stays failed.
 
         Raises:
             ConfigError: with any autoreset but "disabled".

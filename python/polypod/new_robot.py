@@ -90,6 +90,7 @@ def new_robot(
     locked_joints: Mapping[str, float] | None = None,
     urdf_key: str | None = None,
     refine: Callable[[str], str] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> NewRobot:
     """Drafts a config for the robot of a URDF file and lets it stand; stiffer where it gives way.
 
@@ -105,6 +106,7 @@ def new_robot(
         locked_joints: joint of the URDF -> position at which it is held, rad or m.
         urdf_key: what the config says under `urdf`; None: the file, relative to the config.
         refine: makes the text that is written of a draft's.
+        progress: told a part of the work, how much of it is done, and all of it.
 
     Raises:
         RobotError: where the URDF cannot be read or is no legged robot's.
@@ -123,10 +125,12 @@ def new_robot(
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
-    text = ""
+    text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
         factor = STIFFER**attempt
+        tell(f"try {attempt + 1}: drafts", 0, 1)
         draft = drafted(gain_factor=factor)
+        tell(f"try {attempt + 1}: drafts", 1, 1)
         path = urdf.with_name(f"{draft['name']}.toml") if out is None else out
         if attempt == 0:
             _check_place(path, draft["name"], force)
@@ -139,7 +143,7 @@ def new_robot(
             write_text(path, text)
         except OSError as error:
             raise _core.ConfigError(f"cannot write {path}: {error.strerror}; choose another --out") from error
-        standing = stand(path)
+        standing = stand(path, functools.partial(tell, f"try {attempt + 1}: stands"))
         if standing.holds or draft["needs_policy"]:
             break
     needs = draft["needs_policy"]
@@ -164,8 +168,11 @@ def _check_place(path: Path, name: str, force: bool) -> None:
         raise _core.ConfigError(f"{path} is there already; pass --force to write over it, or choose another --out")
 
 
-def stand(robot: Path) -> Standing:
-    """Lets the robot of a config hold its default pose on flat ground for `SECONDS`."""
+def stand(robot: Path, progress: Callable[[int, int], None] | None = None) -> Standing:
+    """Lets the robot of a config hold its default pose on flat ground for `SECONDS`.
+
+    `progress` is told the control steps so far, and all of them.
+    """
     env = make(task_of(robot), NUM_ENVS, robots=[str(robot)], seed=0, autoreset="disabled")
     try:
         env.reset()
@@ -173,7 +180,10 @@ def stand(robot: Path) -> Standing:
         fallen = np.zeros(NUM_ENVS, dtype=np.bool_)
         (info,) = json.loads(env.sim.robot_info()).values()
         carried: list[npt.NDArray[np.float32]] = []
-        for _ in range(round(SECONDS / env.step_dt)):
+        steps = round(SECONDS / env.step_dt)
+        for step in range(steps):
+            if progress is not None:
+                progress(step + 1, steps)
             fallen |= env.step(actions)[2]
             if fallen.any():
                 break

@@ -4,6 +4,7 @@ mod changes;
 pub mod dump;
 mod external;
 mod learning;
+mod links;
 mod sim_queries;
 pub mod snapshot;
 mod viewing;
@@ -30,7 +31,8 @@ use crate::systems::{
 use crate::workers::Workers;
 
 pub use changes::{ForceRows, ParameterRows, StateRows};
-pub use sim_queries::{LinkRows, RobotStates};
+pub use links::LinkRows;
+pub use sim_queries::RobotStates;
 
 /// A headless Bevy app of many envs, ready to step.
 ///

@@ -1,8 +1,6 @@
 //! Queries and changes of a caller between control steps: states of the robots, ends of their
 //! episodes.
 
-use std::ops::Range;
-
 use bevy_ecs::prelude::*;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -10,11 +8,9 @@ use super::Sim;
 use crate::batch::Batch;
 use crate::bounds::MAX_COMMAND;
 use crate::components::{
-    BasePose, BaseVelocity, Body, Command, CommandNumbers, ContactForces, EnvId, EnvOrigin, Episode, JointState, Robot,
+    BasePose, BaseVelocity, Command, CommandNumbers, ContactForces, EnvId, Episode, JointState, Robot,
 };
 use crate::config::did_you_mean;
-use crate::dynamics::math::{Mat3, Spatial, add, mul_mat, mul_vec, mul_vec_transposed, quat_to_mat};
-use crate::dynamics::{Scalar, Workspace, point_motion};
 use crate::error::Error;
 use crate::geometry_export::quaternion;
 use crate::morphology::{BatchSlots, Morphologies};
@@ -22,8 +18,6 @@ use crate::options::Autoreset;
 use crate::robot::Pose;
 use crate::simulation::LinkPoses;
 use crate::systems::{StateField, gather_state};
-use crate::workers::{MatrixRows, Workers};
-use crate::world::Ground;
 
 impl Sim {
     /// Writes one quantity of all robots, row-major `[num_envs, width]` with
@@ -58,6 +52,19 @@ impl Sim {
     /// # Errors
     /// A mask of the wrong length, or a simulation that resets ended episodes by itself.
     pub fn terminate(&mut self, mask: &[bool]) -> Result<(), Error> {
+        self.end_episodes(mask, true)
+    }
+
+    /// Ends the episodes of these envs as out of time, as a termination of the task with `time_out`
+    /// would have in the last control step. An episode that failed in that step stays failed.
+    ///
+    /// # Errors
+    /// As [`terminate`](Self::terminate).
+    pub fn truncate(&mut self, mask: &[bool]) -> Result<(), Error> {
+        self.end_episodes(mask, false)
+    }
+
+    fn end_episodes(&mut self, mask: &[bool], has_failed: bool) -> Result<(), Error> {
         if mask.len() != self.num_envs() {
             let problem = format!("{} entries for {} envs", mask.len(), self.num_envs());
             return Err(Error::argument("mask", problem, "pass one entry per env"));
@@ -69,12 +76,15 @@ impl Sim {
         let world = self.world_mut();
         for (env, mut episode) in world.query::<(&EnvId, &mut Episode)>().iter_mut(world) {
             if mask[env.0 as usize] {
-                (episode.terminated, episode.truncated, episode.needs_reset) = (true, false, true);
+                episode.terminated |= has_failed;
+                episode.truncated = !episode.terminated;
+                episode.needs_reset = true;
             }
         }
         let mut batch = world.resource_mut::<Batch>();
         for (env, _) in mask.iter().enumerate().filter(|(_, ends)| **ends) {
-            (batch.terminated[env], batch.truncated[env]) = (true, false);
+            batch.terminated[env] |= has_failed;
+            batch.truncated[env] = !batch.terminated[env];
         }
         Ok(())
     }
@@ -226,23 +236,6 @@ impl Sim {
     }
 }
 
-/// Where the links of a robot are and how they move, a row per env.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct LinkRows {
-    /// Origins of the URDF frames relative to the env's origin on the ground, m, `[envs, links,
-    /// 3]`.
-    pub position: Vec<f32>,
-    /// Orientations of the URDF frames, w, x, y, z with `w >= 0`, `[envs, links, 4]`.
-    pub quaternion: Vec<f32>,
-    /// Velocities of the origins, world axes, m/s, `[envs, links, 3]`.
-    pub linear_velocity: Vec<f32>,
-    /// Angular velocities, world axes, rad/s, `[envs, links, 3]`.
-    pub angular_velocity: Vec<f32>,
-    /// Net contact forces of the last physics step on the bodies of each link, world axes, N,
-    /// `[envs, links, 3]`.
-    pub contact_force: Vec<f32>,
-}
-
 /// State of the robots of one kind, row-major, a row per env; see [`simulation`](crate::simulation)
 /// for the layout.
 #[derive(Clone, Debug, PartialEq)]
@@ -293,85 +286,6 @@ impl Sim {
             }
         }
         poses
-    }
-
-    /// All links of the robot at place `index`, of its bodies as they were randomised. A broken
-    /// state gives zeros.
-    pub fn links(&mut self, index: usize) -> LinkRows {
-        type Columns = (
-            &'static EnvId,
-            &'static BasePose,
-            &'static BaseVelocity,
-            &'static JointState,
-            &'static Body,
-            &'static ContactForces,
-        );
-        /// Numbers of a link: position, quaternion, velocities, force.
-        const WIDTH: usize = 16;
-        let envs = self.env_ids(index);
-        let world = self.world_mut();
-        let mut origins = vec![(EnvOrigin::default(), false); envs.len()];
-        for (env, origin, episode) in world.query::<(&EnvId, &EnvOrigin, &Episode)>().iter(world) {
-            if envs.contains(&(env.0 as usize)) {
-                origins[env.0 as usize - envs.start] = (*origin, episode.invalid);
-            }
-        }
-        let mut query = world.query_filtered::<Columns, With<Robot>>();
-        let mut robots: Vec<_> = query.iter(world).filter(|(env, ..)| envs.contains(&(env.0 as usize))).collect();
-        robots.sort_unstable_by_key(|(env, ..)| **env);
-        let (ground, workers) = (world.resource::<Ground>(), world.resource::<Workers>());
-        let Some(model) = world.resource::<Morphologies>().0.get(index) else {
-            return LinkRows::default();
-        };
-        let (topology, links) = (&model.topology, model.topology.num_links());
-        let align: Vec<Mat3<f32>> = model
-            .align
-            .iter()
-            .map(|align| align.transpose().to_cols_array_2d().map(|row| row.map(|x| x as f32)))
-            .collect();
-        let mut rows = vec![0.0_f32; envs.len() * links * WIDTH];
-        let out = MatrixRows { data: &mut rows, width: links * WIDTH };
-        workers.for_each_chunk(out, envs.len(), |first, count, mut out| {
-            let mut work = Workspace::new(topology);
-            for i in 0..count {
-                let (_, pose, velocity, joints, body, forces) = &robots[first + i];
-                let rotation = quat_to_mat(&pose.rotation);
-                let base = Spatial { ang: velocity.angular, lin: mul_vec_transposed(&rotation, &velocity.linear) };
-                let (q, qd) = (&joints.position, &joints.velocity);
-                f32::forward_kinematics(topology, &body.0, q, qd, &base, &mut work);
-                let (origin, is_broken) = &origins[first + i];
-                if *is_broken {
-                    continue;
-                }
-                let height = ground.height_at(origin, [0.0; 2]);
-                let net = forces.net(topology.num_bodies, &model.feet);
-                for (l, (link, out)) in work.links.iter().zip(out.row(i).chunks_exact_mut(WIDTH)).enumerate() {
-                    let position = add(&pose.position, &mul_vec(&rotation, &link.position));
-                    let turned = mul_mat(&rotation, &mul_mat(&link.rotation, &align[l]));
-                    let (_, linear) = point_motion(link, &[0.0; 3]);
-                    out[..3].copy_from_slice(&position);
-                    out[2] -= height;
-                    let columns = DMat3::from_cols_array_2d(&turned.map(|row| row.map(f64::from))).transpose();
-                    let quaternion = quaternion(&columns).map(|x| x as f32);
-                    out[3..7].copy_from_slice(&quaternion);
-                    out[7..10].copy_from_slice(&mul_vec(&rotation, &linear));
-                    out[10..13].copy_from_slice(&mul_vec(&rotation, &link.velocity.ang));
-                    for (_, force) in model.model.bodies.iter().zip(&net).filter(|(body, _)| body.link == l) {
-                        out[13..16].iter_mut().zip(force).for_each(|(sum, x)| *sum += x);
-                    }
-                }
-            }
-        });
-        let part = |columns: Range<usize>| -> Vec<f32> {
-            rows.chunks_exact(WIDTH).flat_map(|link| link[columns.clone()].to_vec()).collect()
-        };
-        LinkRows {
-            position: part(0..3),
-            quaternion: part(3..7),
-            linear_velocity: part(7..10),
-            angular_velocity: part(10..13),
-            contact_force: part(13..16),
-        }
     }
 
     /// Net force on each contact body of the robot at place `index` in the last physics step, world

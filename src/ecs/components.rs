@@ -480,13 +480,19 @@ impl ContactForces {
     /// N; `feet` are the contact bodies that are feet.
     pub fn net(&self, bodies: usize, feet: &[usize]) -> Vec<[f32; 3]> {
         let mut net = vec![[0.0; 3]; bodies];
+        self.write_net(feet, &mut net);
+        net
+    }
+
+    /// The same into `net`, a force for each contact body.
+    pub fn write_net(&self, feet: &[usize], net: &mut [[f32; 3]]) {
+        net.fill([0.0; 3]);
         for (&foot, &force) in feet.iter().zip(&self.feet) {
             net[foot] = force;
         }
         for force in &self.others {
             net[force.body as usize] = force.net;
         }
-        net
     }
 }
 

@@ -228,7 +228,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (Positional("velocity_flat"), "--only", "sim"),
         {"": [*NAMES, *FILES], "--kind": NAMES, "--set": OVERRIDES, "--only": NAMES},
     ),
-    "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES}),
+    "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES, "--terms": FILES}),
     "schema": ((Positional("train"),), {"": NAMES}),
     "accuracy": (
         ("--robots", "nobody"),

@@ -130,7 +130,12 @@ def test_the_list_leaves_out_what_is_broken(main, monkeypatch, tmp_path):
         (("train", "--max-iterations", "0"), "--max-iterations"),
         (("train", "--seed", "-1"), "--seed"),
         (("train", "--threads", "0"), "--threads"),
-        (("train", "--set", "sim.episode_lenght_s=1"), "did you mean `episode_length_s`"),
+        (
+            ("train", "--set", "sim.episode_lenght_s=1"),
+            "did you mean `episode_length_s`? (see `polypod show` and `polypod schema`)",
+        ),
+        (("train", "--set", "rewards.spot.gaitt={weight=1.0}"), "did you mean `gait`? (see `polypod terms`)"),
+        (("train", "--set", "train.algorithm.entropy=1"), "did you mean 'entropy_coef'? (see polypod schema)"),
         (("train", "--train-config", "flatt"), "flat"),
         (("train", "--resume"), "no run with a checkpoint"),
         (("train", "--resume", "none"), "neither a checkpoint nor a run"),

@@ -97,6 +97,15 @@ def test_from_urdf_to_training(cli, tmp_path, fox):
     assert list(tmp_path.glob("logs/rsl_rl/*/*/model_2.pt"))
 
 
+def test_its_progress_is_told_part_by_part(fox, tmp_path):
+    told = []
+    new_robot(fox, tmp_path / "fox.toml", progress=lambda *part: told.append(part))
+    assert told[:3] == [("try 1: drafts", 0, 1), ("try 1: drafts", 1, 1), ("try 1: stands", 1, 200)]
+    assert told[-1][1:] == (200, 200)
+    tries = sorted({part for part, _, _ in told})
+    assert all(sum(name == part for name, _, _ in told) in (2, 200) for part in tries), tries
+
+
 def test_by_name_with_tasks_of_its_own(cli, tmp_path, fox, monkeypatch):
     done = cli("robot", "new", str(fox), "--out", "mine/configs/robots/swift_fox.toml")
     assert done.returncode == 0, done.stderr

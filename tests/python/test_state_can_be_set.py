@@ -472,6 +472,33 @@ def test_links_are_where_the_feet_and_the_base_say():
     assert np.abs(rate - mean).max() < 0.5 * max(np.abs(mean).max(), 1.0)
 
 
+def test_some_links_are_those_among_all():
+    env = batch()
+    walk(env, 30)
+    for robot in ROBOTS:
+        names = env.sim.link_names(robot)
+        chosen = [names[4], names[0], names[-1], names[4]]
+        every, some = env.sim.links(robot), env.sim.links(robot, chosen)
+        assert np.abs(every["contact_force"]).max() > 10.0
+        for part, rows in every.items():
+            np.testing.assert_array_equal(some[part], rows[:, [4, 0, len(names) - 1, 4]], err_msg=part)
+    assert env.sim.links(ROBOTS[0], [])["quat"].shape == (len(env.env_ids(ROBOTS[0])), 0, 4)
+    with pytest.raises(UnknownNameError, match=r"links: names: there is no link `FL_calff`; did you mean `FL_calf`"):
+        env.sim.links("unitree_go2", ["FL_calff"])
+    with pytest.raises(TypeError):
+        env.sim.links("unitree_go2", "FL_calf")
+
+
+def test_links_have_the_same_bits_for_any_threads_and_instruction_set(monkeypatch):
+    found = []
+    for simd, threads in (("portable", 1), ("", 1), ("", 3)):
+        monkeypatch.setenv("POLYPOD_SIMD", simd)
+        env = batch(2 * 150, threads=threads)
+        walk(env, 10)
+        found.append([[rows.tobytes() for rows in env.sim.links(robot).values()] for robot in ROBOTS])
+    assert found[0] == found[1] == found[2]
+
+
 def test_commands_of_some_envs_are_pinned():
     env = batch(6, robots=["unitree_go2"])
     others = [0, 1, 3, 5]

@@ -12,7 +12,8 @@ import pytest
 import torch
 
 import polypod
-from polypod import terms
+from lab import terms_cost
+from polypod import term_list, terms
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 
@@ -294,19 +295,108 @@ def test_the_example_trains_resumes_is_evaluated_played_and_exported(learner, cl
     assert "clock" in done.stderr
 
 
+def test_the_example_resets_to_the_states_that_it_gives():
+    env = make(str(EXAMPLE), overrides=["sim.episode_length_s=0.2"])
+    env.reset(seed=3)
+    for step in range(25):
+        begun = env.sim.episode_length == 0
+        assert begun.any() == (step % 10 == 0), step
+        rows = np.flatnonzero(begun)
+        speed = env.state.base_lin_vel[rows]
+        np.testing.assert_allclose(speed[rows % 2 == 1], np.tile([0.0, 0.0, 1.0], (rows.size // 2, 1)), atol=1e-6)
+        assert np.abs(speed[rows % 2 == 0] - [0.0, 0.0, 1.0]).sum(axis=1).min(initial=1.0) > 1e-4
+        env.step(np.zeros((env.num_envs, env.sim.num_actions), dtype=np.float32))
+
+
 def test_terms_of_other_projects_run_on_different_bodies():
-    env = make(str(EXAMPLE.with_name("terms_of_others.py")), task="velocity_flat_legged", robots=["spot", "unitree_g1"])
+    file = EXAMPLE.with_name("terms_of_others.py")
+    env = make(str(file), task="velocity_rough_legged", robots=["spot", "unitree_g1"])
     env.reset(seed=3)
     rewards = np.stack([reward for _, reward, _ in drive(env, 60)])
     assert np.isfinite(rewards).all()
     curves = env.sim.log()
     for robot in ("spot", "unitree_g1"):
-        for term in ("upright", "variable_posture", "feet_swing_height", "soft_landing", "joint_vel_l1", "action_l2"):
-            assert curves[f"Episode_Reward/{robot}/{term}"] != 0.0, (robot, term)
-        assert f"Curriculum/command_vel/{robot}" in curves
+        for term in env.sim.terms.rewards:
+            assert term == "contact_forces" or curves[f"Episode_Reward/{robot}/{term}"] != 0.0, (robot, term)
+        assert curves[f"Metrics/{robot}/mean_action_acc"] > 0.1
     assert env.sim.observation_of("critic").shape[1] == 2 * len(env.feet_names)
-    lines = EXAMPLE.with_name("terms_of_others.py").read_text().count("\n")
-    assert lines < 150
+    assert file.read_text().count("\n") < 150
+    # no built-in term is written again
+    assert not env.sim.terms.rewards.keys() & term_list.read()["rewards"].keys()
+
+
+def test_terms_of_other_projects_have_their_formulas():
+    env = make(str(EXAMPLE.with_name("terms_of_others.py")), task="velocity_rough_legged", robots=["unitree_g1"])
+    env.reset(seed=3)
+    view, found = env.sim.view, env.sim.terms.rewards
+    tilted = {"base_pos": [0.0, 0.0, 1.0], "base_quat": [np.cos(0.3), 0.0, np.sin(0.3), 0.0]}
+    env.sim.set_state(None, **tilted, base_lin_vel=[0.5, 0.0, 0.0], base_ang_vel=[0.0, 0.0, 0.4])
+    env.sim.set_command(np.tile(np.float32([0.2, 0.1, 0.3]), (env.num_envs, 1)))
+    view.refresh()
+    wanted = {
+        "track_linear_velocity": np.exp(-(0.3**2 + 0.1**2) / 0.25),
+        "track_angular_velocity": np.exp(-(0.1**2) / 0.5),
+        "track_lin_vel_xy_yaw_frame_exp": np.exp(-((0.2 - 0.5 * np.cos(0.6)) ** 2 + 0.1**2) / 0.25),
+        "track_ang_vel_z_world_exp": np.exp(-((0.3 - 0.4 * np.cos(0.6)) ** 2) / 0.25),
+        "body_ang_vel": (0.4 * np.sin(0.6)) ** 2,
+        "pose": 1.0,
+    }
+    env.sim.set_state(None, joint_pos=env.state.default_joint_pos, joint_vel=np.zeros_like(env.state.joint_pos))
+    view.refresh()
+    for name, value in wanted.items():
+        np.testing.assert_allclose(found[name](view), value, rtol=1e-4, err_msg=name)
+    # a body of one stiff piece: inertia times angular velocity
+    still = found["angular_momentum"](view)
+    env.sim.set_state(None, base_ang_vel=[0.0, 0.0, 0.8])
+    view.refresh()
+    np.testing.assert_allclose(found["angular_momentum"](view), 4.0 * still, rtol=1e-4)
+
+
+def test_terms_of_the_table_of_costs_are_the_same_in_both_languages():
+    rust = [terms_cost.in_rust(name) for name in terms_cost.WEIGHTS]
+    env = terms_cost.make(8, rust, [terms_cost.in_python(name) for name in terms_cost.WEIGHTS])
+    env.reset(seed=3)
+    drive(env, 60)
+    for name in terms_cost.WEIGHTS:
+        one, other = (env.sim.view.episode_reward(term) for term in (name, f"own_{name}"))
+        assert np.abs(one).max() > 1e-4, name
+        np.testing.assert_allclose(other, one, rtol=1e-3, atol=1e-6, err_msg=name)
+
+
+def test_terms_may_compute_with_torch():
+    def declared(lib):
+        height = (lambda env: torch.tensor(env.base_height)) if lib is torch else (lambda env: env.base_height)
+        return [
+            terms.observation(size=1, name="high")(lambda env: 2.0 * height(env)),
+            terms.reward(weight=1.0, name="cost")(lambda env: lib.square(height(env))),
+            terms.termination(name="low")(lambda env: height(env) < 0.2),
+        ]
+
+    assert same(*(drive(make(declared(lib)), 40) for lib in (np, torch)))
+
+
+def test_a_term_may_end_episodes_as_out_of_time():
+    @terms.termination(time_out=True)
+    def far(env):
+        return (env.episode_length >= 4) & (np.arange(env.num_envs) < 3)
+
+    @terms.termination()
+    def fallen(env):
+        return (env.episode_length >= 4) & (np.arange(env.num_envs) == 2)
+
+    env = make([far, fallen], overrides=["sim.episode_length_s=20.0", "terminations={}"])
+    env.reset(seed=3)
+    actions = np.zeros((env.num_envs, env.sim.num_actions), dtype=np.float32)
+    for step in range(4):
+        _, _, terminated, truncated, infos = env.step(actions)
+        assert (terminated | truncated).any() == (step == 3)
+    np.testing.assert_array_equal(np.flatnonzero(truncated), [0, 1])
+    np.testing.assert_array_equal(np.flatnonzero(terminated), [2])
+    np.testing.assert_array_equal(np.flatnonzero(infos["_final_obs"]), [0, 1, 2])
+    np.testing.assert_array_equal(env.sim.episode_length[:4], [0, 0, 0, 4])
+    curves = env.sim.log()
+    assert curves["Episode_Termination/unitree_go2/far"] == 3.0
+    assert curves["Metrics/unitree_go2/fall_rate"] == pytest.approx(1 / 3)
 
 
 def test_the_native_learner_s_loop_in_python_is_the_one_in_rust(cli, tmp_path):

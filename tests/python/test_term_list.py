@@ -91,7 +91,7 @@ def test_the_list_is_what_the_sources_say():
 def test_the_list_has_the_names_that_the_parser_knows(kind, place):
     with pytest.raises(ConfigError) as caught:
         polypod.make("velocity_flat", 1, robots=["unitree_go2"], overrides=[place])
-    known = re.search(r"known [\w ]+: (.*)$", str(caught.value))
+    known = re.search(r"known [\w ]+: (.*) \(see `polypod terms`\)$", str(caught.value))
     assert known, caught.value
     found = {name.strip(" .") for name in known[1].split(",")}
     if kind == "events":
@@ -113,7 +113,7 @@ def test_parameters_are_those_that_the_parser_takes(kind):
         said = complaint(kind, name, {"zzz": 1.0})
         assert said is not None, name
         parameters = {parameter["name"] for parameter in TERMS[kind][name]["parameters"]}
-        known = re.search(r"known keys: (.*)$", said)
+        known = re.search(r"known keys: (.*?)(?: \(see .*)?$", said)
         if known is None:
             assert "there are no keys here" in said, said
             assert parameters <= OF_ALL[kind], f"{name}: {said}"
@@ -145,3 +145,34 @@ def test_the_command_prints_them(capsys):
     assert "did you mean 'foot_clearance'?" in capsys.readouterr().err
     assert main(["terms", "foot_clearance", "--kind", "events"]) == 2
     assert "no term 'foot_clearance' of events" in capsys.readouterr().err
+
+
+def test_the_terms_of_a_file_are_listed_with_what_they_declare(capsys, tmp_path):
+    file = ROOT / "examples" / "jump_task.py"
+    assert main(["terms", "--terms", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    kinds = {line for line in lines if not line.startswith(" ")}
+    assert kinds == {*TERMS, "metrics", "memories"}
+    names = {line.split()[0] for line in lines if line.startswith(" ")}
+    assert names >= {"reach_height", "clock", "too_low", "nudge", "jump_height", "higher", "height_error", "phase"}
+    assert main(["terms", "clock", "--terms", str(file)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("clock, one of observations: Sine and cosine of the phase of the jump.\n")
+    assert "  size = 2\n  history_length = 3\n" in printed
+    line = next(i for i, text in enumerate(file.read_text().splitlines(), 1) if text.startswith("@terms.observation"))
+    assert printed.endswith(f"  {file}:{line}\n")
+    assert main(["terms", "--terms", str(file), "--kind", "rewards", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["rewards"]["reach_height"]
+    assert (found["declared"], found["parameters"]) == ({"weight": 2.0}, [])
+    assert main(["terms", "clok", "--terms", str(file)]) == 2
+    assert "did you mean 'clock'?" in capsys.readouterr().err
+    alone = tmp_path / "alone.py"
+    alone.write_text("from polypod import terms\nrewards = {'one': terms.Reward(lambda env: env.base_height, 1.0)}\n")
+    assert main(["terms", "--terms", str(alone)]) == 0
+    assert "  one [weight=1.0]\n" in capsys.readouterr().out.replace(" " * 29, " ")
+    assert main(["terms", "--terms", str(alone), "--kind", "events"]) == 2
+    assert "declares no events; leave out --kind" in capsys.readouterr().err
+    assert main(["terms", "--kind", "memories"]) == 2
+    assert "name a file with --terms" in capsys.readouterr().err
+    assert main(["terms", "--terms", str(tmp_path / "absent.py")]) == 2
+    assert "cannot read --terms" in capsys.readouterr().err

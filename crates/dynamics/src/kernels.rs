@@ -6,7 +6,7 @@ use super::algorithms::Dynamics;
 use super::articulation::Topology;
 use super::ground;
 use super::kinematics;
-use super::lanes::{self, Lanes, Proof, Real, SimdToken};
+use super::lanes::{self, Kernel, Lanes, Proof, Real, SimdDispatch, SimdToken};
 use super::math::{Mat3, Spatial, Vec3};
 use super::networks::NetworkStep;
 use super::parameters::Parameters;
@@ -198,4 +198,39 @@ scalar_kernels! {
 
     /// Centre of mass in the world, m.
     fn center_of_mass(body: &mut Dynamics<Self>) -> Vec3<Self> = Dynamics::center_of_mass;
+}
+
+/// [`Scalar::forward_kinematics`] of single-precision numbers, compiled for an instruction set:
+/// where it has fused multiply-adds, these are no function calls. Bits are the same.
+#[cfg(not(test))]
+pub fn forward_kinematics(
+    simd: SimdDispatch,
+    topology: &Topology,
+    parameters: &Parameters<f32>,
+    position: &[f32],
+    velocity: &[f32],
+    base_velocity: &Spatial<f32>,
+    work: &mut Workspace<f32>,
+) {
+    simd.vectorize(ForwardKinematics { topology, parameters, position, velocity, base_velocity, work });
+}
+
+/// Arguments of [`forward_kinematics`].
+struct ForwardKinematics<'a> {
+    topology: &'a Topology,
+    parameters: &'a Parameters<f32>,
+    position: &'a [f32],
+    velocity: &'a [f32],
+    base_velocity: &'a Spatial<f32>,
+    work: &'a mut Workspace<f32>,
+}
+
+impl Kernel<f32> for ForwardKinematics<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { topology, parameters, position, velocity, base_velocity, work } = self;
+        kinematics::forward_kinematics(topology, parameters, position, velocity, base_velocity, work);
+    }
 }

@@ -44,9 +44,9 @@ pub use articulation::{
     MAX_DEPTH, PairTopology, Topology,
 };
 pub use ground::Plane;
-#[cfg(not(test))]
-pub use kernels::with_kernels;
 pub use kernels::{Kernels, Scalar, WithKernels};
+#[cfg(not(test))]
+pub use kernels::{forward_kinematics, with_kernels};
 pub use kinematics::point_motion;
 pub use networks::{
     ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,

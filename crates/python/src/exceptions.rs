@@ -81,7 +81,24 @@ pub(super) fn to_python(py: Python<'_>, error: Error) -> PyErr {
         Error::System { .. } => &all.polypod,
         _ => &all.config,
     };
-    PyErr::from_type(class.bind(py).clone(), error.to_string())
+    PyErr::from_type(class.bind(py).clone(), format!("{error}{}", reference(&error)))
+}
+
+/// Tables of a task whose entries are terms.
+const TERMS: [&str; 6] = ["rewards", "observations", "terminations", "events", "curriculum", "commands"];
+
+/// The command that prints what exists, after an error about a key or a term that does not.
+fn reference(error: &Error) -> &'static str {
+    let Error::Config(error) = error else {
+        return "";
+    };
+    let is_of_term = || error.element.split(['.', '[']).next().is_some_and(|table| TERMS.contains(&table));
+    match error.kind {
+        ConfigErrorKind::UnknownName if error.problem.contains(" term `") => " (see `polypod terms`)",
+        ConfigErrorKind::UnknownKey if is_of_term() => " (see `polypod terms`)",
+        ConfigErrorKind::UnknownKey => " (see `polypod show` and `polypod schema`)",
+        _ => "",
+    }
 }
 
 /// A whole number of any size; beyond 128 bits the nearest one. This function, the next two and

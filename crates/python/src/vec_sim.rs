@@ -193,6 +193,22 @@ impl VecSim {
         read_only(rows.get_item((PySlice::full(py), columns))?)
     }
 
+    /// Ends the episodes of a mask, and copies the flags.
+    fn end_episodes(
+        &mut self,
+        py: Python<'_>,
+        mask: &Bound<'_, PyAny>,
+        end: fn(&mut Sim, &[bool]) -> Result<(), polypod::Error>,
+    ) -> PyResult<()> {
+        let n = self.sim.num_envs();
+        let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
+        let mask = mask.as_slice()?;
+        self.sim.run(py, |sim| end(sim, mask))?.map_err(|error| to_python(py, error))?;
+        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
+        fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
+        fill(py, workers, &self.arrays.truncated, &batch.truncated)
+    }
+
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
         let names: Vec<&str> = self.sim.morphologies().iter().map(|m| m.name()).collect();
         names.iter().position(|name| *name == robot).ok_or_else(|| {
@@ -719,10 +735,13 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.links")]
-    fn links<'py>(&mut self, py: Python<'py>, robot: &str) -> PyResult<Bound<'py, PyDict>> {
+    #[pyo3(signature = (robot, names=None))]
+    fn links<'py>(&mut self, py: Python<'py>, robot: &str, names: Option<Vec<String>>) -> PyResult<Bound<'py, PyDict>> {
         let index = self.robot_index(py, robot)?;
-        let (n, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
-        let rows = self.sim.run(py, |sim| sim.links(index))?;
+        let (n, all) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
+        let links = names.as_ref().map_or(all, Vec::len);
+        let rows = self.sim.run(py, |sim| sim.links(index, names.as_deref()))?;
+        let rows = rows.map_err(|error| to_python(py, error))?;
         let entries = PyDict::new(py);
         for (name, numbers, width) in [
             ("pos", rows.position, 3),
@@ -807,13 +826,12 @@ impl VecSim {
 
     #[doc = docstring!("VecSim.terminate")]
     fn terminate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
-        let n = self.sim.num_envs();
-        let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
-        let mask = mask.as_slice()?;
-        self.sim.run(py, |sim| sim.terminate(mask))?.map_err(|error| to_python(py, error))?;
-        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
-        fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
-        fill(py, workers, &self.arrays.truncated, &batch.truncated)
+        self.end_episodes(py, mask, Sim::terminate)
+    }
+
+    #[doc = docstring!("VecSim.truncate")]
+    fn truncate(&mut self, py: Python<'_>, mask: &Bound<'_, PyAny>) -> PyResult<()> {
+        self.end_episodes(py, mask, Sim::truncate)
     }
 
     #[doc = docstring!("VecSim.env_origins")]

@@ -76,6 +76,7 @@ def add(
     joint_roles: Mapping[str, str] | None = None,
     locked_joints: Mapping[str, float] | None = None,
     force: bool = False,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> Added:
     """Adds a robot to a library of the user's.
 
@@ -93,6 +94,7 @@ def add(
         joint_roles: slot -> joint, where geometry alone does not tell.
         locked_joints: joint -> position at which it is held, rad or m.
         force: write over a robot of this name that is there.
+        progress: as in `polypod.new_robot.new_robot`.
 
     Raises:
         ConfigError: for a source that cannot be read, and where the robot is there already.
@@ -111,7 +113,7 @@ def add(
         held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
         try:
             with new_folder(out) as staged, _named_after(found.file, staged, given, read.missing):
-                made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {})
+                made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {}, progress)
         except OSError as error:
             raise _unwritable(out, error) from error
         made = dataclasses.replace(made, path=config, notes=[])
@@ -197,6 +199,7 @@ def _write(
     held: Mapping[str, float],
     feet: Mapping[str, str],
     roles: Mapping[str, str],
+    progress: Callable[[str, int, int], None] | None,
 ) -> tuple[new_robot.NewRobot, list[str], dict[str, judge.Errors]]:
     """Writes a library of one robot, lets it stand and compares it."""
     assets = folder / "assets" / "robots" / name
@@ -218,6 +221,7 @@ def _write(
             force=True,
             urdf_key=f"assets/robots/{name}/robot.urdf",
             refine=refine,
+            progress=progress,
         )
 
     described = read.described

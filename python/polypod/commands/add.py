@@ -44,25 +44,28 @@ class Add:
         """Runs the command and returns its exit code."""
         from polypod.add import add, judge
         from polypod.new_robot import print_standing, training_of
+        from polypod.progress import Progress
         from polypod.registration import PATH
 
         library = [folder for folder in os.environ.get(PATH, "").split(os.pathsep) if folder]
         out = self.out or (Path(library[0]) if library else None)
         if out is None:
             raise ConfigError(f"there is no library to add to; name a folder with --out, or in {PATH}")
-        added = add(
-            self.source,
-            out,
-            file=self.file,
-            root=self.root,
-            name=self.name,
-            package_dirs=package_dirs(self.package_dir),
-            arguments=pairs(self.xacro_arg, "--xacro-arg", "NAME=VALUE"),
-            feet=pairs(self.foot, "--foot", "LEG=LINK"),
-            joint_roles=pairs(self.role, "--role", "SLOT=JOINT"),
-            locked_joints=locked_joints(self.lock),
-            force=self.force,
-        )
+        with Progress(len("try 1: drafts")) as progress:
+            added = add(
+                self.source,
+                out,
+                file=self.file,
+                root=self.root,
+                name=self.name,
+                package_dirs=package_dirs(self.package_dir),
+                arguments=pairs(self.xacro_arg, "--xacro-arg", "NAME=VALUE"),
+                feet=pairs(self.foot, "--foot", "LEG=LINK"),
+                joint_roles=pairs(self.role, "--role", "SLOT=JOINT"),
+                locked_joints=locked_joints(self.lock),
+                force=self.force,
+                progress=progress,
+            )
         new = added.new
         print(new.path)
         for note in added.notes:

@@ -40,18 +40,21 @@ class Robot:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         from polypod import new_robot
+        from polypod.progress import Progress
 
         feet = pairs(self.foot, "--foot", "LEG=LINK")
-        new = new_robot.new_robot(
-            self.file,
-            self.out,
-            self.name,
-            package_dirs(self.package_dir),
-            feet,
-            joint_roles=pairs(self.role, "--role", "SLOT=JOINT"),
-            locked_joints=locked_joints(self.lock),
-            force=self.force,
-        )
+        with Progress(len("try 1: drafts")) as progress:
+            new = new_robot.new_robot(
+                self.file,
+                self.out,
+                self.name,
+                package_dirs(self.package_dir),
+                feet,
+                joint_roles=pairs(self.role, "--role", "SLOT=JOINT"),
+                locked_joints=locked_joints(self.lock),
+                force=self.force,
+                progress=progress,
+            )
         print(new.path)
         for note in new.notes:
             print(f"  {note}")

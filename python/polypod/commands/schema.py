@@ -9,7 +9,7 @@ import tyro
 
 from polypod.commands.arguments import arg
 
-Kind = Literal["task", "robot", "train"]
+Kind = Literal["task", "robot", "train", "tracking", "motion", "sweep"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,7 @@ class SchemaOf:
     """
 
     kind: Annotated[Kind, tyro.conf.Positional, arg(metavar="KIND")]
-    """task, robot or train."""
+    """task, robot, train, tracking (`--set motions.`), motion (key poses) or sweep."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""
@@ -31,6 +31,6 @@ class SchemaOf:
 
 def read(kind: Kind) -> dict[str, Any]:
     """The schema of a kind of file."""
-    file = resources.files("polypod").joinpath("schemas", f"{kind}.json")
+    file = resources.files("polypod") / "schemas" / f"{kind}.json"
     schema: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     return schema

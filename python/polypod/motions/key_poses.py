@@ -41,19 +41,26 @@ class Base(msgspec.Struct, forbid_unknown_fields=True):
     """Pose of the base: changes from the default pose."""
 
     forward: Share | None = None
-    """In leg lengths, along the world's x axis, as are the others."""
+    """In leg lengths, along the world's x axis."""
     left: Share | None = None
+    """In leg lengths, along the world's y axis."""
     up: Share | None = None
+    """In leg lengths."""
     roll: Degrees | None = None
+    """About the x axis, degrees."""
     pitch: Degrees | None = None
+    """About the y axis, degrees."""
     yaw: Degrees | None = None
+    """About the z axis, degrees."""
 
 
 class Pose(msgspec.Struct, forbid_unknown_fields=True):
     """A key pose. Numbers that it leaves out are as in the key poses around it."""
 
     time: Time
+    """When the robot is in the pose, s."""
     base: Base = field(default_factory=Base)
+    """Pose of the base."""
     joints: dict[str, Degrees] = field(default_factory=dict)
     """Changes from the default pose by role, in degrees; patterns such as `*_ELBOW`."""
 
@@ -62,11 +69,15 @@ class Step(msgspec.Struct, forbid_unknown_fields=True):
     """A foot that leaves the ground and stands elsewhere."""
 
     foot: str
+    """L or R."""
     start: Time
+    """When it leaves the ground, s."""
     duration: Annotated[float, Meta(gt=0.05, le=60.0)]
+    """Time until it stands again, s."""
     forward: Share = 0.0
     """Where it then stands, from its place in the default pose, in leg lengths."""
     left: Share = 0.0
+    """As `forward`, to the left."""
     yaw: Degrees = 0.0
     """Heading in which it then stands; its place is turned by it about the world's origin."""
     lift: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.15
@@ -77,7 +88,7 @@ class Jump(msgspec.Struct, forbid_unknown_fields=True):
     """Both feet in the air, as a throw flies."""
 
     start: Time
-    """When the feet leave the ground."""
+    """When the feet leave the ground, s."""
     height: Annotated[float, Meta(gt=0.0, le=1.0)]
     """How high the base rises in the flight, in leg lengths."""
     crouch: Annotated[float, Meta(gt=0.0, le=0.6)]
@@ -85,13 +96,18 @@ class Jump(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class Drawing(msgspec.Struct, forbid_unknown_fields=True):
-    """A file of key poses."""
+    """A motion drawn as key poses: `polypod motions draw FILE.toml`."""
 
     title: str
+    """The motion in a few words."""
     duration: Annotated[float, Meta(gt=0.0, le=600.0)]
+    """Length of the motion, s."""
     pose: list[Pose] = field(default_factory=list)
+    """Key poses."""
     step: list[Step] = field(default_factory=list)
+    """Steps of the feet, which stand still between them."""
     jump: list[Jump] = field(default_factory=list)
+    """Jumps."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class Reference:
     base_ang_vel: Array
     """Angular velocities of the base, [frames, 3], world axes, rad/s."""
     links: Ids
-    """[keys], key links among the robot's."""
+    """[keys], key links among the robot's; the base is the first of both."""
     ends: npt.NDArray[np.bool_]
     """[keys], feet and hands."""
     link_pos: Array
@@ -102,15 +102,15 @@ class Errors:
 
 
 def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array, ang: Array) -> Errors:
-    """Compares the links of envs with their frames of the reference.
+    """Compares the key links of envs with their frames of the reference.
 
     Args:
         reference: of their robot.
         frame: [n].
-        pos: [n, links, 3], all links, relative to the env's origin; the base is the first.
-        quat: [n, links, 4].
-        lin: [n, links, 3], velocities of the links' origins.
-        ang: [n, links, 3].
+        pos: [n, keys, 3], relative to the env's origin; the base is the first.
+        quat: [n, keys, 4].
+        lin: [n, keys, 3], velocities of the links' origins.
+        ang: [n, keys, 3].
     """
     base, turn = pos[:, 0], quat[:, 0]
     ref_base, ref_turn = reference.base_pos[frame], reference.base_quat[frame]
@@ -120,21 +120,20 @@ def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array
     anchor[:, 2] = ref_base[:, 2]
     wide = np.broadcast_to(heading, ref_quat.shape)
     moved = turns.rotated(wide, ref_pos - ref_base[:, np.newaxis]) + anchor[:, np.newaxis]
-    keys = reference.links
     to_base = rotations.inverse(turn)
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), base.shape)
     return Errors(
         anchor_pos=ref_base - base,
         anchor_ori=turns.angle(ref_turn, turn),
         gravity=np.abs(turns.rotated(rotations.inverse(ref_turn), down)[:, 2] - turns.rotated(to_base, down)[:, 2]),
-        link_pos=moved - pos[:, keys],
-        link_ori=turns.angle(rotations.product(wide, ref_quat), quat[:, keys]),
-        link_lin_vel=reference.link_lin_vel[frame] - lin[:, keys],
-        link_ang_vel=reference.link_ang_vel[frame] - ang[:, keys],
+        link_pos=moved - pos,
+        link_ori=turns.angle(rotations.product(wide, ref_quat), quat),
+        link_lin_vel=reference.link_lin_vel[frame] - lin,
+        link_ang_vel=reference.link_ang_vel[frame] - ang,
     )
 
 
 def errors_in(sim: _core.VecSim, robot: str, reference: Reference, frame: Ids) -> Errors:
     """`errors` of a robot's envs in a simulator."""
-    links = sim.links(robot)
+    links = sim.links(robot, reference.body.key_links)
     return errors(reference, frame, *(links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")))

@@ -93,6 +93,8 @@ class Tracker:
         self.robots: list[str] = env.robots
         self.references: list[Reference] = []
         self.columns: list[Ids] = []
+        self.ahead: list[Array] = []
+        """Joints of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
         self.com: list[Array] = []
         shapes = json.loads(env.sim.robot_shapes())
         for robot, source in zip(self.robots, sources, strict=True):
@@ -100,6 +102,7 @@ class Tracker:
             clips = library.clips_of(found.clips, body.source)
             self.references.append(Reference.of(body, clips, env.step_dt))
             self.columns.append(np.array(info[robot]["columns"], dtype=np.int64))
+            self.ahead.append(_ahead(self.references[-1], found.look_ahead, self.columns[-1], env.sim.num_actions))
             self.com.append(np.array(shapes[robot]["base_com"], dtype=np.float64))
         self.rows = [env.env_ids(robot) for robot in self.robots]
         self.bins = _bins(found, len(self.robots))
@@ -125,14 +128,19 @@ class Tracker:
             whole[rows] = part
         return whole
 
-    def anchor(self, env: Any, base_pos: Array, base_quat: Array) -> tuple[Array, Array]:
-        """The reference's base in base axes: position [num_envs, 3], orientation [num_envs, 4]."""
-        pos, quat = np.zeros((env.num_envs, 3)), np.zeros((env.num_envs, 4))
+    def anchor_pos(self, env: Any, base_pos: Array, base_quat: Array) -> Array:
+        """[num_envs, 3], position of the reference's base in base axes, m."""
+        pos = np.zeros((env.num_envs, 3))
         for reference, rows in zip(self.references, self.rows, strict=True):
-            frame = env.memory["motion_frame"][rows, 0]
-            pos[rows], quat[rows] = reference.base_pos[frame], reference.base_quat[frame]
-        back = rotations.inverse(base_quat)
-        return turns.rotated(back, pos - base_pos), rotations.product(back, quat)
+            pos[rows] = reference.base_pos[env.memory["motion_frame"][rows, 0]]
+        return turns.rotated(rotations.inverse(base_quat), pos - base_pos)
+
+    def anchor_ori(self, env: Any, base_quat: Array) -> Array:
+        """[num_envs, 4], orientation of the reference's base in base axes."""
+        quat = np.zeros((env.num_envs, 4))
+        for reference, rows in zip(self.references, self.rows, strict=True):
+            quat[rows] = reference.base_quat[env.memory["motion_frame"][rows, 0]]
+        return rotations.product(rotations.inverse(base_quat), quat)
 
     def advance(self, env: Any) -> None:
         """Goes on by a frame; the last one of a clip stays."""
@@ -144,18 +152,15 @@ class Tracker:
 
     def command(self, env: Any) -> Array:
         """[num_envs, 2 look-ahead * joints], positions less the default pose, then velocities."""
-        count, ahead = env.sim.num_actions, self.options.look_ahead
-        whole = np.zeros((env.num_envs, 2 * len(ahead), count))
+        count = env.sim.num_actions
+        whole = np.zeros((env.num_envs, 2 * len(self.options.look_ahead), count))
         default = env.default_joint_pos.astype(np.float64)
-        for reference, columns, rows in zip(self.references, self.columns, self.rows, strict=True):
-            frame, last = env.memory["motion_frame"][rows, 0], reference.last[env.memory["motion_clip"][rows, 0]]
-            for i, steps in enumerate(ahead):
-                at = np.minimum(frame + steps, last)
-                whole[rows[:, np.newaxis], 2 * i, columns] = (
-                    reference.joint_pos[at] - default[rows[:, np.newaxis], columns]
-                )
-                moving = (frame + steps <= last)[:, np.newaxis]
-                whole[rows[:, np.newaxis], 2 * i + 1, columns] = reference.joint_vel[at] * moving
+        for robot, ahead, columns, rows in zip(self.robots, self.ahead, self.columns, self.rows, strict=True):
+            mine = whole[slice(*env.sim.env_ids(robot))]
+            np.take(ahead, env.memory["motion_frame"][rows, 0], axis=0, out=mine)
+            present = np.zeros(count)
+            present[columns] = 1.0
+            mine[:, ::2] -= (default[rows] * present)[:, np.newaxis]
         return whole.reshape(env.num_envs, -1)
 
     def phase(self, env: Any) -> Array:
@@ -255,6 +260,18 @@ class Tracker:
         )
 
 
+def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> Array:
+    """[frames, 2 look-ahead, actions], joints some steps after each frame; a clip ends at rest."""
+    whole = np.zeros((len(reference.joint_pos), 2 * len(look_ahead), actions))
+    frame = np.arange(len(whole))
+    last = np.repeat(reference.last, reference.last - reference.first + 1)
+    for i, steps in enumerate(look_ahead):
+        at = np.minimum(frame + steps, last)
+        whole[:, 2 * i, columns] = reference.joint_pos[at]
+        whole[:, 2 * i + 1, columns] = reference.joint_vel[at] * (frame + steps <= last)[:, np.newaxis]
+    return whole
+
+
 def declared(found: Options, sources: Sequence[str]) -> Terms:
     """All terms of a tracking task.
 
@@ -325,18 +342,13 @@ def _observations(tracker: Find, found: Options) -> list[Any]:
 
     @terms.observation(size=3, units="m", mirror="vector")
     def motion_anchor_pos_b(env: Any) -> Array:
-        return tracker(env).anchor(env, *_base(env))[0]
+        return tracker(env).anchor_pos(env, env.base_pos.astype(np.float64), env.base_quat.astype(np.float64))
 
     @terms.observation(size=6, mirror="vector")
     def motion_anchor_ori_b(env: Any) -> Array:
-        return axes(tracker(env).anchor(env, *_base(env))[1])
+        return axes(tracker(env).anchor_ori(env, env.base_quat.astype(np.float64)))
 
     return [command, motion_phase, motion_anchor_pos_b, motion_anchor_ori_b]
-
-
-def _base(env: Any) -> tuple[Array, Array]:
-    """Positions and orientations of the bases."""
-    return env.base_pos.astype(np.float64), env.base_quat.astype(np.float64)
 
 
 def axes(quaternion: Array) -> Array:

@@ -62,7 +62,10 @@ class Declared:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Termination(Declared):
-    """A reason for an episode to fail: bool [num_envs]."""
+    """A reason for an episode to end: bool [num_envs]."""
+
+    time_out: bool = False
+    """Whether the episode is truncated rather than failed."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -358,9 +361,20 @@ class _Rewarded(Declared):
     reward: Reward
 
 
-def termination(*, robots: Sequence[str] | None = None, name: str | None = None) -> Callable[[Function], Termination]:
-    """Makes a termination of `function(env)`: bool [num_envs], True where an episode has failed."""
-    return lambda function: Termination(name=_name(function, name), function=function, robots=_robots(robots))
+def termination(
+    *, time_out: bool = False, robots: Sequence[str] | None = None, name: str | None = None
+) -> Callable[[Function], Termination]:
+    """Makes a termination of `function(env)`: bool [num_envs], True where an episode ends.
+
+    Args:
+        time_out: the episode is truncated, as by its time limit, rather than failed: a learner
+            counts what would have followed. An env that fails in the same control step has failed.
+        robots: names of the robots that have it; None: all.
+        name: of the term; None: that of the function.
+    """
+    return lambda function: Termination(
+        name=_name(function, name), function=function, robots=_robots(robots), time_out=time_out
+    )
 
 
 def metric(*, robots: Sequence[str] | None = None, name: str | None = None) -> Callable[[Function], Metric]:

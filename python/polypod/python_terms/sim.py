@@ -176,10 +176,11 @@ class TermSim(_core.VecSim):
             self._hook(observation, "update", env)
         ends, causes = self._ended()
         self._reward = self._add_rewards(super().reward)
-        if ends.any():
-            super().terminate(ends)
-        self._terminated = super().terminated | ends
-        self._truncated = super().truncated & ~ends
+        if ends[False].any():
+            super().terminate(ends[False])
+        if ends[True].any():
+            super().truncate(ends[True])
+        self._terminated, self._truncated = super().terminated.copy(), super().truncated.copy()
         self._measure()
         self._observe(None)
         done = self._terminated | self._truncated
@@ -207,6 +208,11 @@ class TermSim(_core.VecSim):
         """See `VecSim.terminate`."""
         super().terminate(mask)
         self._terminated, self._truncated = self._terminated | mask, self._truncated & ~mask
+
+    def truncate(self, mask: BoolArray) -> None:
+        """See `VecSim.truncate`."""
+        super().truncate(mask)
+        self._truncated = self._truncated | (mask & ~self._terminated)
 
     def _begin(
         self,
@@ -297,13 +303,14 @@ class TermSim(_core.VecSim):
         timer -= np.float32(self.step_dt)
         return np.flatnonzero(timer <= 0.0)
 
-    def _ended(self) -> tuple[BoolArray, dict[str, BoolArray]]:
-        ends, causes = np.zeros(self.num_envs, dtype=np.bool_), {}
+    def _ended(self) -> tuple[dict[bool, BoolArray], dict[str, BoolArray]]:
+        """Envs that the terms end, by whether they time out, and envs that each term ends."""
+        ends, causes = {kind: np.zeros(self.num_envs, dtype=np.bool_) for kind in (False, True)}, {}
         for name, term in self.terms.terminations.items():
             value = self._call(name, term.function, self._env)
             mine = self._checks.flags(f"terminations[{name!r}]", value, self.num_envs)
             causes[name] = mine & self._mask(term.robots)
-            ends |= causes[name]
+            ends[term.time_out] |= causes[name]
         return ends, causes
 
     def _add_rewards(self, rewards: FloatArray) -> FloatArray:

@@ -225,7 +225,7 @@ def _check_keys(table: dict[str, Any], expected: dict[str, Any], where: str, opt
     for key in table:
         if key not in expected:
             nearest = difflib.get_close_matches(key, expected, n=1, cutoff=0.0)[0]
-            raise _core.ConfigError(f"{where}: unknown key {key!r}; did you mean {nearest!r}?")
+            raise _core.ConfigError(f"{where}: unknown key {key!r}; did you mean {nearest!r}? (see polypod schema)")
     missing = [key for key in expected if key not in table and key not in optional]
     if missing:
         raise _core.ConfigError(

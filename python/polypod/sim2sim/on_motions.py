@@ -46,12 +46,11 @@ class _WithReference:
         base_pos, base_quat = np.zeros((self.env.num_envs, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (self.env.num_envs, 1))
         if self.twin is not None:
             base_pos[self.rows], base_quat[self.rows] = self.twin.qpos[:, :3], self.twin.qpos[:, 3:7]
-        pos, quat = self.tracker.anchor(self.env, base_pos, base_quat)
         known = {
             COMMAND: self.tracker.command(self.env),
             "motion_phase": self.tracker.phase(self.env),
-            "motion_anchor_pos_b": pos,
-            "motion_anchor_ori_b": axes(quat),
+            "motion_anchor_pos_b": self.tracker.anchor_pos(self.env, base_pos, base_quat),
+            "motion_anchor_ori_b": axes(self.tracker.anchor_ori(self.env, base_quat)),
         }
         own = {name: known[name][self.rows].astype(np.float32) for name in self.policy.inputs if name in known}
         return self.policy(**inputs, **own)
@@ -114,7 +113,8 @@ def _see(trial: Trial, seen: Seen, frames: npt.NDArray[np.int64], qpos: Array, q
     body = seen.reference.body
     safe = np.where(seen.running[:, np.newaxis], qpos, qpos[:1] * 0.0 + np.eye(qpos.shape[1])[3])
     safe[:, 3:7] = turns.unit(safe[:, 3:7])
-    found = errors(seen.reference, frames, *body.moving(safe, np.where(seen.running[:, np.newaxis], qvel, 0.0)))
+    links = body.moving(safe, np.where(seen.running[:, np.newaxis], qvel, 0.0))
+    found = errors(seen.reference, frames, *(values[:, seen.reference.links] for values in links))
     fell = np.zeros(len(frames), dtype=np.bool_)
     for term, option in trial.options.terminations.items():
         if option.threshold is not None:

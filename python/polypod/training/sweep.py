@@ -46,14 +46,23 @@ class TrialOptions(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=Tru
     """Flags of `polypod train`, with underscores in place of hyphens."""
 
     task: str | None = None
+    """Name or path of the task."""
     num_envs: Annotated[int, Meta(ge=1, lt=2**31)] | None = None
+    """Number of envs, shared out among the robots."""
     robots: list[str] | None = None
+    """Names or paths of the robots."""
     max_iterations: Iterations | None = None
+    """Learning iterations."""
     train_config: str | None = None
+    """Name or path of the train config."""
     learner: str | None = None
+    """`auto`, `native` or `rsl_rl`."""
     device: str | None = None
+    """`auto`, `cpu` or `cuda`."""
     threads: Annotated[int, Meta(ge=1, le=1024)] | None = None
+    """Threads of the simulator, and of the learner on the CPU."""
     set: list[str] | None = None
+    """Changes of the task, and with `train.` before the key of the train config."""
 
 
 class EarlyStopping(msgspec.Struct, forbid_unknown_fields=True):
@@ -66,9 +75,10 @@ class EarlyStopping(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class SweepFile(msgspec.Struct, forbid_unknown_fields=True):
-    """`sweep.toml`."""
+    """Trainings to compare: `polypod sweep FILE.toml`."""
 
     seeds: Annotated[list[Annotated[int, Meta(ge=0, lt=2**62)]], Meta(min_length=1)]
+    """Seeds of each group's trials."""
     train: TrialOptions = msgspec.field(default_factory=TrialOptions)
     """Options that all trials share."""
     configs: dict[Label, TrialOptions] = {}
@@ -76,6 +86,7 @@ class SweepFile(msgspec.Struct, forbid_unknown_fields=True):
     robots: dict[Label, Annotated[list[str], Meta(min_length=1)]] = {}
     """A group for each, and for each config."""
     early_stopping: EarlyStopping | None = None
+    """Ends trials that are behind; without it all run to their end."""
 
 
 @dataclasses.dataclass(frozen=True)
