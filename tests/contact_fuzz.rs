@@ -285,7 +285,7 @@ impl PackWorkspace {
             settings: &settings,
             terrain: None,
             parameters: &self.parameters,
-            kind: None,
+            nominal: None,
             drive: &Drive::zeros(topology, 1),
             substeps: 0..1,
             state: &mut state,

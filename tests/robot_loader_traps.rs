@@ -803,7 +803,7 @@ fn steps_finitely(model: &Model) -> bool {
         settings: &settings,
         terrain: None,
         parameters: &parameters,
-        kind: None,
+        nominal: None,
         drive: &Drive::zeros(topology, 1),
         substeps: 0..settings.decimation,
         state: &mut state,
