@@ -85,7 +85,7 @@ fn sim(robot: Option<&str>, num_envs: usize, threads: usize, overrides: &[&str])
 
 /// Steps with random actions up to `reach`, after a while of the same: with 1 some robots stand,
 /// some are in the air, some fall.
-fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: Sim) {
+fn measure(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: Sim) {
     let mut rng = EnvRng::new(0, 0);
     let mut actions = vec![0.0; sim.batch().actions.len()];
     for _ in 0..WARM_UP {
@@ -111,7 +111,7 @@ fn bench(c: &mut Criterion, group: &str, id: BenchmarkId, reach: f32, mut sim: S
 fn control_step(c: &mut Criterion) {
     for (name, robot) in ROBOTS {
         for (what, reach) in [("small actions", 0.3), ("random actions", 1.0)] {
-            bench(c, "control step", BenchmarkId::new(name, what), reach, sim(robot, 4096, 1, &[]));
+            measure(c, "control step", BenchmarkId::new(name, what), reach, sim(robot, 4096, 1, &[]));
         }
     }
 }
@@ -119,19 +119,19 @@ fn control_step(c: &mut Criterion) {
 /// Episodes of a tenth of a second: every fifth control step resets an env.
 fn resets(c: &mut Criterion) {
     for (name, overrides) in [("of 20 s", &[][..]), ("of 0.1 s", &["sim.episode_length_s=0.1"][..])] {
-        bench(c, "episodes", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
+        measure(c, "episodes", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
     }
 }
 
 fn envs(c: &mut Criterion) {
     for num_envs in [1024, 4096, 16384, 65536] {
-        bench(c, "envs", BenchmarkId::from_parameter(num_envs), 0.3, sim(None, num_envs, 1, &[]));
+        measure(c, "envs", BenchmarkId::from_parameter(num_envs), 0.3, sim(None, num_envs, 1, &[]));
     }
 }
 
 fn threads(c: &mut Criterion) {
     for threads in [1, 2] {
-        bench(c, "threads", BenchmarkId::from_parameter(threads), 0.3, sim(None, 4096, threads, &[]));
+        measure(c, "threads", BenchmarkId::from_parameter(threads), 0.3, sim(None, 4096, threads, &[]));
     }
 }
 
@@ -143,7 +143,7 @@ fn shares(c: &mut Criterion) {
         ("one physics step", &["sim.decimation=1"][..]),
         ("one solver sweep", &["physics.solver_iterations=1"][..]),
     ] {
-        bench(c, "shares", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
+        measure(c, "shares", BenchmarkId::from_parameter(name), 0.3, sim(None, 4096, 1, overrides));
     }
 }
 
@@ -153,7 +153,7 @@ fn mirrors(c: &mut Criterion) {
         for (name, overrides) in
             [("without", &[][..]), ("with", &["physics.mirror_links=true", "sim.env_spacing=4.0"][..])]
         {
-            bench(c, "link mirrors", BenchmarkId::new(name, num_envs), 1.0, sim(None, num_envs, 1, overrides));
+            measure(c, "link mirrors", BenchmarkId::new(name, num_envs), 1.0, sim(None, num_envs, 1, overrides));
         }
     }
 }
@@ -162,7 +162,7 @@ fn mirrors(c: &mut Criterion) {
 fn avian(c: &mut Criterion) {
     for robot in ["anymal_c", "unitree_a1"] {
         let sim = sim(Some(robot), 64, 1, &["physics.engine=avian"]);
-        bench(c, "avian engine", BenchmarkId::from_parameter(robot), 1.0, sim);
+        measure(c, "avian engine", BenchmarkId::from_parameter(robot), 1.0, sim);
     }
 }
 

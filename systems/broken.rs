@@ -45,7 +45,7 @@ pub struct BrokenStates {
     watched: Vec<bool>,
     seen: Vec<bool>,
     step: u64,
-    evidence: Vec<DivergenceRecord>,
+    records: Vec<DivergenceRecord>,
     found: Vec<(usize, BrokenState)>,
 }
 
@@ -53,7 +53,7 @@ impl BrokenStates {
     /// Watches none of `morphologies` morphologies.
     pub fn new(morphologies: usize) -> Self {
         let none = vec![false; morphologies];
-        Self { watched: none.clone(), seen: none, step: 0, evidence: Vec::new(), found: Vec::new() }
+        Self { watched: none.clone(), seen: none, step: 0, records: Vec::new(), found: Vec::new() }
     }
 
     /// Watches all morphologies of which no broken state was found yet, or none.
@@ -72,16 +72,16 @@ impl BrokenStates {
         &self.watched
     }
 
-    pub(super) fn note(&mut self, evidence: Vec<DivergenceRecord>) {
-        for found in &evidence {
+    pub(super) fn note(&mut self, records: Vec<DivergenceRecord>) {
+        for found in &records {
             self.watched[found.morphology] = false;
             self.seen[found.morphology] = true;
         }
-        self.evidence = evidence;
+        self.records = records;
     }
 }
 
-/// Adds to the evidence what physics does not see.
+/// Adds to the records what physics does not see.
 pub(super) fn describe_broken_states(
     task: Res<CompiledTask>,
     mut broken: ResMut<BrokenStates>,
@@ -89,9 +89,9 @@ pub(super) fn describe_broken_states(
     envs: Blocks<&'static Episode, Env>,
 ) -> Result {
     let broken = &mut *broken;
-    if !broken.evidence.is_empty() {
+    if !broken.records.is_empty() {
         let (robots, envs) = (robots.read()?, envs.read()?);
-        let described = broken.evidence.drain(..).filter_map(
+        let described = broken.records.drain(..).filter_map(
             |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, link_forces, after }| {
                 let ((bodies, row), (episodes, _)) = (robots.at(env)?, envs.at(env)?);
                 let state = BrokenState {

@@ -44,8 +44,8 @@ pub struct CommandTerm {
     pub range: Range<usize>,
     /// Time between two draws, s; absent where a reset alone draws it.
     pub(super) resampling_time_s: Option<f32>,
-    /// The kind, for each morphology.
-    pub(super) kinds: Vec<Box<dyn CommandKind>>,
+    /// The command of each morphology.
+    pub(super) of_morphologies: Vec<Box<dyn CommandKind>>,
 }
 
 /// The commands of a robot other than the velocity, as terms read them.
@@ -73,6 +73,6 @@ impl<'a> CommandView<'a> {
 impl CommandTerm {
     /// Draws its numbers among those of all commands.
     pub(super) fn draw(&self, morphology: usize, robot: &CommandedRobot, numbers: &mut [f32], rng: &mut EnvRng) {
-        self.kinds[morphology].draw(robot, &mut numbers[self.range.clone()], rng);
+        self.of_morphologies[morphology].draw(robot, &mut numbers[self.range.clone()], rng);
     }
 }

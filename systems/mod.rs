@@ -64,7 +64,7 @@ use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 use bevy_ecs::system::ScheduleSystem;
 
-use crate::blocks::{RowKind, restore_order, separate_morphologies};
+use crate::blocks::{BlockMarker, restore_order, separate_morphologies};
 use crate::engine::Engines;
 use crate::options::Autoreset;
 
@@ -312,7 +312,7 @@ fn for_both<M, S: IntoScheduleConfigs<ScheduleSystem, M>>(app: &mut App, systems
 }
 
 /// Keeps the entities of a kind in blocks: one table per morphology, in the order of their env ids.
-pub fn keep_blocks<K: RowKind>(app: &mut App) {
+pub fn keep_blocks<K: BlockMarker>(app: &mut App) {
     app.add_observer(separate_morphologies::<K>);
     for_both(app, || restore_order::<K>.in_set(RowOrder).ambiguous_with_all());
 }

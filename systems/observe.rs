@@ -11,7 +11,7 @@ use super::view::RobotView;
 use super::views::{ViewParam, Views};
 use super::{PipelineSet, ResetRequest, ResetSet, for_both};
 use crate::batch::Batch;
-use crate::blocks::{Blocks, RowKind};
+use crate::blocks::{BlockMarker, Blocks};
 use crate::components::{Env, EnvId, EnvRng, Episode, Morphology};
 use crate::config::quantities::Height;
 use crate::config::{TaskConfig, values};
@@ -279,9 +279,9 @@ impl ObservationTerm {
 
 /// Adds an observation term that is read from a component of the entities of kind `K`, in a
 /// plugin's `build`. Tasks name it like any other term. For morphologies without such entities
-/// ([`RowKind::is_on`]) its numbers are zero and masked. One of the kind [`TermKind::PerJoint`] or
-/// [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to write.
-pub fn add_observation<C: Component, K: RowKind>(
+/// ([`BlockMarker::is_on`]) its numbers are zero and masked. One of the kind [`TermKind::PerJoint`]
+/// or [`TermKind::PerFoot`] is handed the numbers of the robot's own joints or feet to write.
+pub fn add_observation<C: Component, K: BlockMarker>(
     app: &mut App,
     name: &'static str,
     size: usize,

@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::terms::CompiledTask;
-use crate::blocks::RowKind;
+use crate::blocks::BlockMarker;
 use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, CommandNumbers, ConstraintImpulses,
     ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers,
@@ -72,7 +72,7 @@ pub fn save_component<C: Saved>(app: &mut App) {
 }
 
 /// Adds a component of the entities of a kind to snapshots.
-pub(super) fn save_component_of<C: Saved, K: RowKind>(app: &mut App) {
+pub(super) fn save_component_of<C: Saved, K: BlockMarker>(app: &mut App) {
     let component =
         SavedComponent { name: std::any::type_name::<C>(), is_on: K::is_on, save: save::<C>, load: load::<C> };
     app.world_mut().get_resource_or_init::<SavedComponents>().all.push(component);

@@ -5,7 +5,7 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use polypod::app::snapshot::join;
 use polypod::batch::Batch;
-use polypod::blocks::{Blocks, RowKind};
+use polypod::blocks::{BlockMarker, Blocks};
 use polypod::components::{EnvId, ExternalWrench, JointState, Morphology, MountedOn, Robot};
 use polypod::config::TaskConfig;
 use polypod::morphology::MorphologyModel;
@@ -31,7 +31,7 @@ struct ArmSwing {
     sum: f32,
 }
 
-impl RowKind for ArmSwing {
+impl BlockMarker for ArmSwing {
     const NAME: &'static str = "arm sensor";
 
     fn is_on(morphology: &MorphologyModel, _: &TaskConfig) -> bool {

@@ -285,7 +285,7 @@ impl PackWorkspace {
             settings: &settings,
             terrain: None,
             parameters: &self.parameters,
-            kind: None,
+            nominal: None,
             drive: &Drive::zeros(topology, 1),
             substeps: 0..1,
             state: &mut state,
@@ -309,15 +309,15 @@ fn motion(state: &State<f32>) -> ([f32; 3], [f32; 4], [f32; 3], [f32; 3]) {
 /// Fault of a sample, if any.
 fn check(sample: &Sample) -> Result<(), String> {
     let ensure = |holds: bool, what: &dyn Fn() -> String| if holds { Ok(()) } else { Err(what()) };
-    let mut bench = PackWorkspace::new(sample);
+    let mut workspace = PackWorkspace::new(sample);
     let before = sample.distance(&sample.state);
-    let gap = bench.gap(&sample.state);
+    let gap = workspace.gap(&sample.state);
     ensure(gap > before - EXACT && gap < before + EXACT + sample.slack(), &|| {
         format!("nearest candidate at {gap} m, true distance {before} m")
     })?;
 
-    let Outcome { state, force } = bench.step(&sample.state, true);
-    let free = bench.step(&sample.state, false).state;
+    let Outcome { state, force } = workspace.step(&sample.state, true);
+    let free = workspace.step(&sample.state, false).state;
     let impulses = &state.impulse;
     let touches = impulses.iter().any(|impulse| *impulse != [0.0; 3]);
     let after = sample.distance(&state);
@@ -386,13 +386,13 @@ fn bodies_are_pushed_out() {
     samples.retain(|(_, sample)| sample.distance(&sample.state) < 0.0);
     assert!(samples.len() > 1000);
     for (index, sample) in samples {
-        let mut bench = PackWorkspace::new(&sample);
+        let mut workspace = PackWorkspace::new(&sample);
         let mut state = sample.state.clone();
         let mut distance = sample.distance(&state);
         let mut highest = distance;
         // 5 cm at 5 mm, then a fifth, per step
         for step in 0..40 {
-            let next = bench.step(&state, true).state;
+            let next = workspace.step(&state, true).state;
             let now = sample.distance(&next);
             let lost = distance.min(0.0) - now - sample.curvature(&state, &next);
             assert!(

@@ -7,7 +7,7 @@ use bevy_ecs::component::{Component, Mutable};
 use bevy_ecs::prelude::*;
 use bevy_ecs::system::RunSystemOnce;
 use polypod::Sim;
-use polypod::blocks::{BlockSizes, Blocks, RowKind};
+use polypod::blocks::{BlockMarker, BlockSizes, Blocks};
 use polypod::components::{
     BasePose, ContactSensor, Env, EnvId, EnvRng, Episode, Imu, JointState, Morphology, MountedOn, Robot,
 };
@@ -84,8 +84,8 @@ fn tags<C: Component>(world: &mut World) -> Vec<(Entity, u32, usize)> {
 }
 
 fn check_tags(sim: &mut Sim) {
-    let kinds: Vec<usize> = (0..ROBOTS.len()).flat_map(|robot| sim.env_ids(robot).map(move |_| robot)).collect();
-    let expected: Vec<(u32, usize)> = kinds.iter().enumerate().map(|(env, &kind)| (env as u32, kind)).collect();
+    let robots: Vec<usize> = (0..ROBOTS.len()).flat_map(|robot| sim.env_ids(robot).map(move |_| robot)).collect();
+    let expected: Vec<(u32, usize)> = robots.iter().enumerate().map(|(env, &robot)| (env as u32, robot)).collect();
     let world = sim.world_mut();
     let all = [tags::<Env>(world), tags::<Robot>(world), tags::<ContactSensor>(world), tags::<Imu>(world)];
     let mut entities = Vec::new();
@@ -117,7 +117,7 @@ fn every_entity_is_tagged_once_and_in_order() {
 
 /// The blocks that systems read are the morphologies' envs, and hold all rows of `C`, one after the
 /// other.
-fn check_rows<C: Component<Mutability = Mutable>, K: RowKind>(world: &mut World, num_envs: usize) {
+fn check_rows<C: Component<Mutability = Mutable>, K: BlockMarker>(world: &mut World, num_envs: usize) {
     let by_env: Vec<*const C> = {
         let mut rows: Vec<_> =
             world.query::<(&EnvId, &C)>().iter(world).map(|(e, c)| (e.0, std::ptr::from_ref(c))).collect();

@@ -281,16 +281,16 @@ fn a_neck_beside_the_middle_plane_is_a_head() {
 
 #[test]
 fn arms_that_differ_or_are_alone_stay_at_their_sides() {
-    let kinds =
+    let limb_kinds =
         |roles: &Roles| -> Vec<(Place, LimbKind)> { roles.limbs.iter().map(|limb| (limb.place, limb.kind)).collect() };
     let (left, right) = ((Place::Left, LimbKind::Arm), (Place::Right, LimbKind::Arm));
-    assert_eq!(kinds(&humanoid(1.0, 3.0, "")), [left, right]);
-    assert_eq!(kinds(&humanoid(1.0, 0.0, "")), [left]);
+    assert_eq!(limb_kinds(&humanoid(1.0, 3.0, "")), [left, right]);
+    assert_eq!(limb_kinds(&humanoid(1.0, 0.0, "")), [left]);
     // two arms a side: each is the mirror image of the one that is like it, whatever their order in
     // the file
     let small = |name: &str, y: f64| row(name, &[("0 1 0", [0.1, y, 0.3], 0.2), ("0 1 0", [0.0, 0.0, -0.1], 0.1)], "");
     let roles = humanoid(1.0, 1.0, &(small("b", -0.15) + &small("a", 0.15)));
-    assert_eq!(kinds(&roles), [left, left, right, right]);
+    assert_eq!(limb_kinds(&roles), [left, left, right, right]);
     for limb in &roles.limbs[..2] {
         let mirror =
             roles.limbs[2..].iter().find(|other| other.joints[0].slot == limb.joints[0].slot.mirrored()).unwrap();

@@ -175,7 +175,7 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
         settings: &settings,
         terrain: None,
         parameters: &parameters,
-        kind: None,
+        nominal: None,
         drive: &Drive::zeros(topology, 1),
         substeps: 0..settings.decimation,
         state: &mut state,

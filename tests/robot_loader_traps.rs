@@ -639,8 +639,8 @@ fn wheels_turn_and_lifts_slide() {
             + &joint("lift", "prismatic", "base", "mast", &format!("{LIMIT}<axis xyz='0 0 1'/>"))),
     );
     let model = loaded(&text);
-    let kinds: Vec<JointKind> = model.joints.iter().map(|joint| joint.kind).collect();
-    assert_eq!(kinds, [JointKind::Continuous, JointKind::Prismatic]);
+    let joint_kinds: Vec<JointKind> = model.joints.iter().map(|joint| joint.kind).collect();
+    assert_eq!(joint_kinds, [JointKind::Continuous, JointKind::Prismatic]);
     let poses = model.forward_kinematics(&[std::f64::consts::PI, 0.5]);
     assert!((poses[1].rotation.x_axis.x + 1.0).abs() < 1e-12);
     assert_eq!(poses[2].translation.to_array(), [0.0, 0.0, 0.5]);
@@ -803,7 +803,7 @@ fn steps_finitely(model: &Model) -> bool {
         settings: &settings,
         terrain: None,
         parameters: &parameters,
-        kind: None,
+        nominal: None,
         drive: &Drive::zeros(topology, 1),
         substeps: 0..settings.decimation,
         state: &mut state,

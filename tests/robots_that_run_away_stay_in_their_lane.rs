@@ -95,7 +95,7 @@ impl<L: Kernels> Pack<L> {
             settings,
             terrain: None,
             parameters: &self.parameters,
-            kind: None,
+            nominal: None,
             drive: &self.drive,
             substeps: 0..settings.decimation,
             state: &mut self.state,

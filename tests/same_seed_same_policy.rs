@@ -5,8 +5,8 @@ use std::sync::{Arc, Barrier, Mutex};
 
 use polypod::dynamics::lanes::Simd;
 use polypod::learner::{
-    Activation, Algorithm, Joints, Learner, LearnerError, Network, Options, Peers, RolloutArrays, Symmetry, Which,
-    Worker,
+    Activation, Algorithm, Joints, Learner, LearnerError, Network, NetworkName, Options, Peers, RolloutArrays,
+    Symmetry, Worker,
 };
 use polypod::{Sim, SimOptions};
 
@@ -64,15 +64,15 @@ fn options_of_joints(slots: usize, symmetry: Symmetry) -> Options {
 
 /// Small numbers that depend on their places alone; deviations of one half.
 fn fill(learner: &mut Learner) {
-    for which in [Which::Actor, Which::Critic] {
-        let mut state = learner.network(which);
+    for network in [NetworkName::Actor, NetworkName::Critic] {
+        let mut state = learner.network(network);
         for (layer, weights) in state.weights.iter_mut().enumerate() {
             weights.iter_mut().enumerate().for_each(|(i, x)| *x = 0.2 * noise(layer as u64, i, 0, 0));
         }
-        if which == Which::Actor && learner.settings().options.actor.joints.is_none() {
+        if network == NetworkName::Actor && learner.settings().options.actor.joints.is_none() {
             state.weights[0].fill(0.5);
         }
-        learner.set_network(which, &state).unwrap();
+        learner.set_network(network, &state).unwrap();
     }
 }
 
@@ -118,10 +118,10 @@ fn learnt(mut sim: Sim, mut learner: Learner, least_episodes: usize) -> u64 {
     }
     assert!(episodes >= least_episodes, "resets must have been part of it");
     let mut numbers = Vec::new();
-    for which in [Which::Actor, Which::Critic] {
-        let state = learner.network(which);
+    for network in [NetworkName::Actor, NetworkName::Critic] {
+        let state = learner.network(network);
         numbers.extend([state.weights, state.first, state.second].concat().concat());
-        learner.normalizers(which).iter().for_each(|of| numbers.extend(&of.variance));
+        learner.normalizers(network).iter().for_each(|of| numbers.extend(&of.variance));
     }
     numbers.iter().fold(rate.to_bits(), |hash, x| (hash ^ u64::from(x.to_bits())).wrapping_mul(0x0000_0100_0000_01b3))
 }

@@ -53,7 +53,7 @@ impl Body {
             settings: &settings,
             terrain: None,
             parameters: &self.parameters,
-            kind: None,
+            nominal: None,
             drive: &self.drive,
             substeps: 0..1,
             state: &mut self.state,

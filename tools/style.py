@@ -54,21 +54,31 @@ UNITS_ALONE = re.compile(rf"(?:\[[^\]]*\],? ?)?(?:in )?(?:(?:(?:base|world|link)
 """A shape and units without the quantity that they are of."""
 
 NAMES = {
+    "ALIKE": "UNIFORM",
     "Alike": "UniformParameters",
     "Apart": "CachePadded",
     "Crew": "ThreadTeam",
     "Evidence": "DivergenceRecord",
     "LineUp": "PackOrder",
+    "Kind": "its noun: DocumentKind, MorphologySetup",
     "LOOKS": "SPINS",
     "Numbers": "SharedArray",
     "OwnNumbers": "ParameterDeltas",
     "PATIENCE": "SPIN_TIME",
+    "RowKind": "BlockMarker",
+    "Use": "Purpose",
+    "Which": "NetworkName",
+    "alike": "uniform, similar",
     "ask_nothing": "clear_drive",
+    "bench": "workspace",
+    "benches": "workspaces",
     "crew": "team",
     "evidence": "record",
+    "kinds": "morphologies, or what they are kinds of: joint_kinds",
     "look_down": "scan_terrain",
     "note_touching": "find_touching",
     "treat": "apply_noise_and_scale",
+    "visitors": "gathered",
 }
 """Names that mean nothing to a reader of the field, and replacements. Definitions are checked."""
 _DEFINES = "struct|enum|trait|type|fn|mod|const|static|class|def|let|let mut"

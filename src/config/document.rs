@@ -26,13 +26,13 @@ pub(super) struct Document {
 
 /// The sorts of config.
 #[derive(Clone, Copy)]
-pub(super) enum Kind {
+pub(super) enum DocumentKind {
     Robot,
     Task,
     Train,
 }
 
-impl Kind {
+impl DocumentKind {
     pub(super) fn noun(self) -> &'static str {
         match self {
             Self::Robot => "robot",
@@ -82,7 +82,7 @@ impl Document {
 ///
 /// # Errors
 /// A root that is no folder, an unreadable folder.
-pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, ConfigError> {
+pub(super) fn documents(kind: DocumentKind, roots: &[PathBuf]) -> Result<Vec<Document>, ConfigError> {
     let mut documents = Vec::new();
     for root in roots {
         for file in toml_files(root, kind)? {
@@ -97,7 +97,7 @@ pub(super) fn documents(kind: Kind, roots: &[PathBuf]) -> Result<Vec<Document>, 
 ///
 /// # Errors
 /// As [`documents`].
-pub(super) fn documents_named(kind: Kind, roots: &[PathBuf], name: &str) -> Result<Vec<Document>, ConfigError> {
+pub(super) fn documents_named(kind: DocumentKind, roots: &[PathBuf], name: &str) -> Result<Vec<Document>, ConfigError> {
     let mut documents = Vec::new();
     // a name is no path
     let is_plain = Path::new(name).components().count() == 1 && !name.contains(['/', '\\', '\0']);
@@ -112,7 +112,7 @@ pub(super) fn documents_named(kind: Kind, roots: &[PathBuf], name: &str) -> Resu
     Ok(documents)
 }
 
-fn built_in(kind: Kind) -> impl Iterator<Item = &'static File<'static>> {
+fn built_in(kind: DocumentKind) -> impl Iterator<Item = &'static File<'static>> {
     CONFIGS.get_dir(kind.folder()).into_iter().flat_map(Dir::files).filter(|file| is_toml(file.path()))
 }
 
@@ -130,7 +130,7 @@ fn read_built_in(file: &'static File<'static>) -> Document {
 }
 
 /// The folder of a kind in a root, which may be absent.
-fn folder_of(root: &Path, kind: Kind) -> Result<PathBuf, ConfigError> {
+fn folder_of(root: &Path, kind: DocumentKind) -> Result<PathBuf, ConfigError> {
     if root.is_dir() {
         return Ok(root.join("configs").join(kind.folder()));
     }
@@ -138,7 +138,7 @@ fn folder_of(root: &Path, kind: Kind) -> Result<PathBuf, ConfigError> {
 }
 
 /// The configs of a kind in one root, which may have none.
-fn toml_files(root: &Path, kind: Kind) -> Result<Vec<PathBuf>, ConfigError> {
+fn toml_files(root: &Path, kind: DocumentKind) -> Result<Vec<PathBuf>, ConfigError> {
     let folder = folder_of(root, kind)?;
     if !folder.is_dir() {
         return Ok(Vec::new());

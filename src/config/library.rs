@@ -8,7 +8,7 @@ use include_dir::{Dir, include_dir};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use super::document::{Document, Kind, documents, documents_named, is_toml, stem_of, unreadable};
+use super::document::{Document, DocumentKind, documents, documents_named, is_toml, stem_of, unreadable};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{EXTENDS, IDENTITY, Layer, Layers, parse, string_key, string_list};
 use super::names::{RobotEntry, TaskEntry, TaskNames, TrainEntry, single_robot_name, task_names, unknown_name};
@@ -152,7 +152,8 @@ impl Library {
         }
         let mut named = (task.robot_overrides.keys().map(|name| ("robot_overrides", name)))
             .chain(task.env_shares.keys().map(|name| ("env_shares", name)));
-        let mut known: Vec<String> = self.listed(Kind::Robot)?.into_iter().map(|document| document.stem).collect();
+        let mut known: Vec<String> =
+            self.listed(DocumentKind::Robot)?.into_iter().map(|document| document.stem).collect();
         known.extend(task.robots.iter().chain(names_or_paths).map(|name| match Path::new(name) {
             path if is_toml(path) => stem_of(path),
             _ => name.clone(),
@@ -168,9 +169,9 @@ impl Library {
     }
 
     fn robot_with(&self, name_or_path: &str, task: Option<&TaskConfig>) -> Result<LoadedRobot, ConfigError> {
-        let top = self.find(Kind::Robot, name_or_path, None, &[])?;
+        let top = self.find(DocumentKind::Robot, name_or_path, None, &[])?;
         let mut document = top.clone();
-        let mut layers = self.layers(Kind::Robot, top)?;
+        let mut layers = self.layers(DocumentKind::Robot, top)?;
         if let Some((task, changes)) = task.and_then(|task| Some((task, task.robot_overrides.get(&document.stem)?))) {
             // keys that tell one robot from another are never inherited, and a task does not make
             // another robot
@@ -300,7 +301,7 @@ impl Library {
     /// Unknown name, unreadable file, a file that extends itself.
     pub fn train(&self, name: &str, above: &[PathBuf]) -> Result<TrainFile, ConfigError> {
         let above: Vec<_> = above.iter().map(|id| (id.clone(), id.display().to_string())).collect();
-        let document = self.find(Kind::Train, name, None, &above)?;
+        let document = self.find(DocumentKind::Train, name, None, &above)?;
         Ok(TrainFile { text: document.text?, id: document.id, folder: document.dir })
     }
 
@@ -321,7 +322,7 @@ impl Library {
                 .to_owned();
             Some(TrainEntry { name: document.stem, file: document.file, title: first })
         };
-        let mut configs: Vec<_> = self.listed(Kind::Train)?.into_iter().filter_map(entry).collect();
+        let mut configs: Vec<_> = self.listed(DocumentKind::Train)?.into_iter().filter_map(entry).collect();
         configs.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(configs)
     }
@@ -332,7 +333,7 @@ impl Library {
     /// A root that is no folder, an unreadable folder.
     pub fn robots(&self) -> Result<Vec<RobotEntry>, ConfigError> {
         let mut robots: Vec<_> =
-            self.listed(Kind::Robot)?.into_iter().flat_map(|document| self.robot_entry(document)).collect();
+            self.listed(DocumentKind::Robot)?.into_iter().flat_map(|document| self.robot_entry(document)).collect();
         robots.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(robots)
     }
@@ -344,7 +345,7 @@ impl Library {
     /// A root that is no folder, an unreadable folder.
     pub fn tasks(&self) -> Result<Vec<TaskEntry>, ConfigError> {
         let mut tasks: Vec<_> =
-            self.listed(Kind::Task)?.into_iter().flat_map(|document| self.task_entry(document)).collect();
+            self.listed(DocumentKind::Task)?.into_iter().flat_map(|document| self.task_entry(document)).collect();
         tasks.sort_by(|a, b| a.name.cmp(&b.name));
         let mut single = Vec::new();
         for robot in self.robots()? {
@@ -365,8 +366,9 @@ impl Library {
     /// # Errors
     /// A root that is no folder, an unreadable folder.
     pub fn broken(&self) -> Result<Vec<ConfigError>, ConfigError> {
-        let robots = self.listed(Kind::Robot)?.into_iter().filter_map(|document| self.robot_entry(document).err());
-        let tasks = self.listed(Kind::Task)?.into_iter().filter_map(|document| self.task_entry(document).err());
+        let robots =
+            self.listed(DocumentKind::Robot)?.into_iter().filter_map(|document| self.robot_entry(document).err());
+        let tasks = self.listed(DocumentKind::Task)?.into_iter().filter_map(|document| self.task_entry(document).err());
         let mut broken: Vec<ConfigError> = Vec::new();
         for error in robots.chain(tasks) {
             // tasks that extend a broken one share its error
@@ -382,7 +384,7 @@ impl Library {
         let title = string_key(&document, &table, "title")?.unwrap_or(&document.stem).to_owned();
         let (name, file) = (document.stem.clone(), document.file.clone());
         // an error in a layer is reported where the robot is used
-        let merged = self.layers(Kind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
+        let merged = self.layers(DocumentKind::Robot, document).and_then(|layers| layers.merged()).unwrap_or_default();
         let pose = merged.get("default_pose").and_then(Value::as_table).into_iter().flatten();
         let is_quadruped = pose.into_iter().all(|(joint, _)| CANONICAL_JOINT_NAMES.contains(&joint.as_str()));
         let needs_policy = merged.get("needs_policy").and_then(Value::as_str).map(str::to_owned);
@@ -392,7 +394,7 @@ impl Library {
     fn task_entry(&self, document: Document) -> Result<TaskEntry, ConfigError> {
         let TaskNames { name, aliases } = task_names(&document)?;
         let file = document.file.clone();
-        let merged = self.layers(Kind::Task, document)?.merged()?;
+        let merged = self.layers(DocumentKind::Task, document)?.merged()?;
         let robots = merged.get("robots").and_then(Value::as_array).into_iter().flatten();
         let robots = robots.filter_map(Value::as_str).map(str::to_owned).collect();
         Ok(TaskEntry { name, aliases, file, robots })
@@ -412,11 +414,12 @@ impl Library {
     fn task_layers(&self, name: &str) -> Result<Layers, ConfigError> {
         if is_toml(Path::new(name)) && !Path::new(name).exists() {
             // errors name the given name, not the one that it leads to
-            let found = self.find(Kind::Task, name, None, &[]).and_then(|top| self.layers(Kind::Task, top));
+            let found =
+                self.find(DocumentKind::Task, name, None, &[]).and_then(|top| self.layers(DocumentKind::Task, top));
             return found.or_else(|error| self.play_layers(name)?.ok_or(error));
         }
-        match self.find(Kind::Task, name, None, &[]) {
-            Ok(top) => self.layers(Kind::Task, top),
+        match self.find(DocumentKind::Task, name, None, &[]) {
+            Ok(top) => self.layers(DocumentKind::Task, top),
             Err(error) if error.kind == ConfigErrorKind::UnknownName => {
                 let made = match self.single_robot_layers(name)? {
                     Some(layers) => Some(layers),
@@ -451,7 +454,7 @@ impl Library {
     /// The layers of the task `name`, if it is one made for one robot.
     fn single_robot_layers(&self, name: &str) -> Result<Option<Layers>, ConfigError> {
         let robots = self.robots()?;
-        for base in self.listed(Kind::Task)? {
+        for base in self.listed(DocumentKind::Task)? {
             let Ok(TaskNames { name: base_name, .. }) = task_names(&base) else {
                 continue;
             };
@@ -462,7 +465,7 @@ impl Library {
                 continue;
             };
             let document = base.clone();
-            let mut layers = self.layers(Kind::Task, base)?;
+            let mut layers = self.layers(DocumentKind::Task, base)?;
             let mut table = Table::new();
             table.insert("name".into(), name.into());
             table.insert("robots".into(), Value::Array(vec![robot.name.clone().into()]));
@@ -477,7 +480,7 @@ impl Library {
     }
 
     /// `top` and all that it extends.
-    fn layers(&self, kind: Kind, top: Document) -> Result<Layers, ConfigError> {
+    fn layers(&self, kind: DocumentKind, top: Document) -> Result<Layers, ConfigError> {
         let mut layers = Vec::new();
         self.add_layers(kind, top, &mut Vec::new(), &mut layers)?;
         Ok(Layers(layers))
@@ -487,7 +490,7 @@ impl Library {
     /// the files above it.
     fn add_layers(
         &self,
-        kind: Kind,
+        kind: DocumentKind,
         document: Document,
         path: &mut Vec<(PathBuf, String)>,
         layers: &mut Vec<Layer>,
@@ -514,7 +517,7 @@ impl Library {
     /// the working directory.
     fn find(
         &self,
-        kind: Kind,
+        kind: DocumentKind,
         name: &str,
         dir: Option<&Path>,
         visited: &[(PathBuf, String)],
@@ -545,7 +548,7 @@ impl Library {
         let mut broken = Vec::new();
         // other files are parsed only if no stem decides, and a broken one does not stand in the
         // way
-        if matches!(kind, Kind::Task) && !matching.iter().any(|document| is_free(document)) {
+        if matches!(kind, DocumentKind::Task) && !matching.iter().any(|document| is_free(document)) {
             for document in &documents {
                 let TaskNames { name: full, aliases } = match task_names(document) {
                     Ok(names) => names,
@@ -570,8 +573,8 @@ impl Library {
         known.sort();
         known.dedup();
         let robots = match kind {
-            Kind::Task => self.robots()?,
-            Kind::Robot | Kind::Train => Vec::new(),
+            DocumentKind::Task => self.robots()?,
+            DocumentKind::Robot | DocumentKind::Train => Vec::new(),
         };
         let made: Vec<String> = robots
             .iter()
@@ -581,7 +584,7 @@ impl Library {
     }
 
     /// The configs of a kind that a name can reach: of those with the same stem only the first.
-    fn listed(&self, kind: Kind) -> Result<Vec<Document>, ConfigError> {
+    fn listed(&self, kind: DocumentKind) -> Result<Vec<Document>, ConfigError> {
         let mut listed: Vec<Document> = Vec::new();
         for document in documents(kind, &self.roots)? {
             if listed.iter().all(|earlier| earlier.stem != document.stem) {

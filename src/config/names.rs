@@ -2,7 +2,7 @@
 
 use toml::Value;
 
-use super::document::{Document, Kind};
+use super::document::{Document, DocumentKind};
 use super::error::{ConfigError, ConfigErrorKind};
 use super::layer::{parse, string_key};
 use super::library::PATH_VARIABLE;
@@ -90,7 +90,7 @@ pub(super) fn single_robot_name(task: &str, robot: &str, is_quadruped: bool) -> 
 /// The error about an unknown name. Near names are sought among `known` and `made`, which is too
 /// long to be listed. Files that are `broken` may have the name.
 pub(super) fn unknown_name(
-    kind: Kind,
+    kind: DocumentKind,
     name: &str,
     known: &[String],
     made: &[String],

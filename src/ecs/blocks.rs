@@ -6,7 +6,7 @@
 //! [`BlockIter::zip`], and work on them in chunks.
 //!
 //! Each morphology has separate tables, so that its entities may have components that others lack,
-//! and a kind may be missing for whole morphologies: see [`RowKind::is_on`]. Within a block all
+//! and a kind may be missing for whole morphologies: see [`BlockMarker::is_on`]. Within a block all
 //! entities have the same components. Each time that blocks are read, the entities' [`EnvId`]s are
 //! compared with their rows: about a microsecond for 4096 envs. Where a component was inserted into
 //! one robot alone, a robot was despawned or an entity spawned on top of it, the blocks are an
@@ -80,7 +80,7 @@ impl<'a> BlockFinder<'a> {
 }
 
 /// Marks the entities of a kind of which every env, or every env of some morphologies, has one.
-pub trait RowKind: Component {
+pub trait BlockMarker: Component {
     /// Name of an entity of this kind in errors.
     const NAME: &'static str;
 
@@ -90,22 +90,22 @@ pub trait RowKind: Component {
     }
 }
 
-impl RowKind for Env {
+impl BlockMarker for Env {
     const NAME: &'static str = "env";
 }
-impl RowKind for Robot {
+impl BlockMarker for Robot {
     const NAME: &'static str = "robot";
 }
-impl RowKind for ContactSensor {
+impl BlockMarker for ContactSensor {
     const NAME: &'static str = "contact sensor";
 }
-impl RowKind for Imu {
+impl BlockMarker for Imu {
     const NAME: &'static str = "IMU";
 }
-impl RowKind for JointDescriptors {
+impl BlockMarker for JointDescriptors {
     const NAME: &'static str = "joint descriptors";
 }
-impl RowKind for HeightScan {
+impl BlockMarker for HeightScan {
     const NAME: &'static str = "height scanner";
 }
 
@@ -115,13 +115,13 @@ type Entities<'w, 's, K> = Query<'w, 's, (Entity, &'static EnvId, Option<&'stati
 /// System parameter: components `D` of the entities of kind `K`, such as `Blocks<(&'static
 /// BasePose, &'static mut Feet), Robot>`.
 #[derive(SystemParam)]
-pub struct Blocks<'w, 's, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: RowKind> {
+pub struct Blocks<'w, 's, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: BlockMarker> {
     rows: Query<'w, 's, (&'static EnvId, D), With<K>>,
     all: Entities<'w, 's, K>,
     sizes: Res<'w, BlockSizes>,
 }
 
-impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: RowKind> Blocks<'_, 's, D, K> {
+impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: BlockMarker> Blocks<'_, 's, D, K> {
     /// The blocks of all morphologies.
     ///
     /// # Errors
@@ -196,7 +196,7 @@ impl<'s, D: ContiguousQueryData<ReadOnly: ContiguousQueryData> + 'static, K: Row
 
 /// Why tables with these env ids are not the blocks of `all` morphologies, or of some.
 #[cold]
-fn fault<K: RowKind>(entities: &Entities<K>, sizes: &BlockSizes, tables: &[Vec<EnvId>], all: bool) -> Error {
+fn fault<K: BlockMarker>(entities: &Entities<K>, sizes: &BlockSizes, tables: &[Vec<EnvId>], all: bool) -> Error {
     let error = |problem: String, remedy: &str| Error::Rows { kind: K::NAME, problem, remedy: remedy.into() };
     let n = sizes.num_envs();
     let mut of_env = vec![None; n];
@@ -565,7 +565,7 @@ struct TagDigit<const DIGIT: u32>;
 
 /// Puts an entity of kind `K` into the tables of its morphology, when the component `K` is
 /// inserted.
-pub(crate) fn separate_morphologies<K: RowKind>(
+pub(crate) fn separate_morphologies<K: BlockMarker>(
     inserted: On<Insert<K>>,
     tags: Query<&Morphology>,
     mut commands: Commands,
@@ -591,7 +591,7 @@ pub(crate) fn separate_morphologies<K: RowKind>(
 struct Moving;
 
 /// Puts the entities of a kind in the order of their env ids again, those of each table.
-pub(crate) fn restore_order<K: RowKind>(world: &mut World, entities: &mut QueryState<(Entity, &EnvId), With<K>>) {
+pub(crate) fn restore_order<K: BlockMarker>(world: &mut World, entities: &mut QueryState<(Entity, &EnvId), With<K>>) {
     let mut by_env: Vec<(EnvId, Entity)> = Vec::new();
     for (entities, ids) in entities.query(world).contiguous_iter().into_iter().flatten() {
         // all of them at once

@@ -14,7 +14,8 @@ use rand_pcg::rand_core::Rng;
 use serde::{Deserialize, Serialize};
 use smallvec::{SmallVec, smallvec};
 
-use crate::dynamics::{Parameters, SharedArray};
+use crate::dynamics::lanes::{Real, read_lane};
+use crate::dynamics::{Parameters, Report, SharedArray};
 use crate::hash::fnv1a;
 
 /// One number per joint of a robot, in physical order; inline for up to 12 joints.
@@ -329,6 +330,15 @@ joint_lists! {
     }
 }
 
+impl JointEffort {
+    /// Takes over a lane of a control step's report.
+    #[inline(always)]
+    pub(crate) fn set<L: Real>(&mut self, report: &Report<L>, lane: usize) {
+        read_lane(&report.joint_effort, &mut self.applied, lane);
+        read_lane(&report.joint_acceleration, &mut self.acceleration, lane);
+    }
+}
+
 /// Joint position targets, rad, physical order.
 #[derive(Component, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct JointTargets {
@@ -511,6 +521,17 @@ impl Feet {
     /// `feet` feet at rest at the origin.
     pub fn zeros(feet: usize) -> Self {
         Self { position: smallvec![[0.0; 3]; feet], velocity: smallvec![[0.0; 3]; feet], height: smallvec![0.0; feet] }
+    }
+
+    /// Takes over a lane of a control step's report, which knows no heights.
+    #[inline(always)]
+    pub(crate) fn set<L: Real>(&mut self, report: &Report<L>, lane: usize) {
+        for (from, to) in report.site_position.iter().zip(&mut self.position) {
+            read_lane(from, to, lane);
+        }
+        for (from, to) in report.site_velocity.iter().zip(&mut self.velocity) {
+            read_lane(from, to, lane);
+        }
     }
 }
 

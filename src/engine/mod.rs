@@ -28,7 +28,7 @@ pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
 pub use registry::{EngineFactory, EngineSetup, Engines};
 pub use rows::RobotSlices;
-pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, clear_drive, get, put};
+pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, clear_drive};
 
 /// Steps the bodies of a task's robots.
 ///
@@ -160,7 +160,7 @@ pub struct Run<'a> {
 }
 
 /// An engine's view of one morphology; `T` is the type of its rows' numbers.
-pub(crate) struct Kind<'a, T> {
+pub(crate) struct MorphologySetup<'a, T> {
     pub(crate) model: &'a Model,
     pub(crate) topology: &'a Topology,
     /// Turns a link's URDF axes into those of the engine, `[links]`.
@@ -182,7 +182,7 @@ pub(crate) struct Kind<'a, T> {
     pub(crate) count: usize,
 }
 
-impl<'a> Kind<'a, f32> {
+impl<'a> MorphologySetup<'a, f32> {
     /// `count` robots of a morphology.
     pub(crate) fn of_morphology(morphology: &'a MorphologyModel, count: usize) -> Self {
         let MorphologyModel { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, .. } =
@@ -211,21 +211,21 @@ pub(crate) enum EngineChoice {
 pub(crate) fn make<F: RowFamily>(
     choice: EngineChoice,
     settings: StepSettings,
-    kinds: &[Kind<F::Number>],
+    setups: &[MorphologySetup<F::Number>],
     workers: &Workers,
 ) -> Result<Box<dyn RowEngine<F>>, EngineError> {
     let (resident, threads) = (F::RESIDENT, workers.threads());
     Ok(match choice {
         EngineChoice::Avian(substeps, statics) => {
-            Box::new(AvianRobots::new(&settings, substeps, &statics, kinds, workers)?)
+            Box::new(AvianRobots::new(&settings, substeps, &statics, setups, workers)?)
         }
         EngineChoice::ArticulatedDouble => {
-            Box::new(Packs::<f64, F::Number>::new(settings, None, kinds, resident, threads))
+            Box::new(Packs::<f64, F::Number>::new(settings, None, setups, resident, threads))
         }
         EngineChoice::Articulated(simd, terrain) => {
             // `Simd::choose` refuses one that the machine lacks
             let simd = simd.token().unwrap_or(SimdToken::Portable);
-            with_kernels(simd, MakePacks::<F> { settings, terrain, kinds, threads })
+            with_kernels(simd, MakePacks::<F> { settings, terrain, setups, threads })
         }
     })
 }
@@ -234,7 +234,7 @@ pub(crate) fn make<F: RowFamily>(
 struct MakePacks<'a, F: RowFamily> {
     settings: StepSettings,
     terrain: Option<Arc<HeightGrid>>,
-    kinds: &'a [Kind<'a, F::Number>],
+    setups: &'a [MorphologySetup<'a, F::Number>],
     threads: usize,
 }
 
@@ -242,7 +242,7 @@ impl<F: RowFamily> WithKernels for MakePacks<'_, F> {
     type Output = Box<dyn RowEngine<F>>;
 
     fn run<L: Kernels>(self) -> Self::Output {
-        Box::new(Packs::<L, F::Number>::new(self.settings, self.terrain, self.kinds, F::RESIDENT, self.threads))
+        Box::new(Packs::<L, F::Number>::new(self.settings, self.terrain, self.setups, F::RESIDENT, self.threads))
     }
 }
 

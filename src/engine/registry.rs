@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use bevy_ecs::prelude::Resource;
 
-use super::{Engine, EngineChoice, Kind, TaskEngine, make};
+use super::{Engine, EngineChoice, MorphologySetup, TaskEngine, make};
 use crate::blocks::BlockSizes;
 use crate::config::{ConfigError, ConfigErrorKind, TaskConfig, did_you_mean};
 use crate::dynamics::lanes::Simd;
@@ -53,9 +53,10 @@ impl EngineSetup<'_> {
     }
 
     fn make(&self, choice: EngineChoice, plane: Option<Plane>) -> Result<Box<dyn Engine>, Error> {
-        let kinds = self.morphologies.iter().zip(&self.blocks.0);
-        let kinds: Vec<Kind<f32>> = kinds.map(|(morphology, &count)| Kind::of_morphology(morphology, count)).collect();
-        match make(choice, self.step_settings(plane), &kinds, self.workers) {
+        let blocks = self.morphologies.iter().zip(&self.blocks.0);
+        let setups: Vec<MorphologySetup<f32>> =
+            blocks.map(|(morphology, &count)| MorphologySetup::of_morphology(morphology, count)).collect();
+        match make(choice, self.step_settings(plane), &setups, self.workers) {
             Ok(engine) => Ok(Box::new(TaskEngine(engine))),
             Err(error) => {
                 let remedy = "use \"articulated\", or another sim.dt or robot";

@@ -8,7 +8,7 @@ use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactForces, ContactImpulse,
     EnvOrigin, ExternalWrench, Feet, JointEffort, JointState, JointTargets, LinkForces,
 };
-use crate::dynamics::lanes::{Real, prefetch};
+use crate::dynamics::lanes::{Real, prefetch, read_lane, write_lane};
 use crate::dynamics::{Drive, Report, State};
 use crate::workers::SplitRows;
 
@@ -187,41 +187,41 @@ impl RobotRows for RobotSlices<'_> {
 
     #[inline]
     fn read_motion<L: Real>(&self, row: usize, state: &mut State<L>, lane: usize) {
-        put(&mut state.position, &self.poses[row].position, lane);
-        put(&mut state.rotation, &self.poses[row].rotation, lane);
-        put(&mut state.linear_velocity, &self.velocities[row].linear, lane);
-        put(&mut state.angular_velocity, &self.velocities[row].angular, lane);
-        put(&mut state.joint_position, &self.joints[row].position, lane);
-        put(&mut state.joint_velocity, &self.joints[row].velocity, lane);
+        write_lane(&mut state.position, &self.poses[row].position, lane);
+        write_lane(&mut state.rotation, &self.poses[row].rotation, lane);
+        write_lane(&mut state.linear_velocity, &self.velocities[row].linear, lane);
+        write_lane(&mut state.angular_velocity, &self.velocities[row].angular, lane);
+        write_lane(&mut state.joint_position, &self.joints[row].position, lane);
+        write_lane(&mut state.joint_velocity, &self.joints[row].velocity, lane);
     }
 
     #[inline]
     fn write_motion<L: Real>(&mut self, row: usize, state: &State<L>, lane: usize) {
-        get(&state.position, &mut self.poses[row].position, lane);
-        get(&state.rotation, &mut self.poses[row].rotation, lane);
-        get(&state.linear_velocity, &mut self.velocities[row].linear, lane);
-        get(&state.angular_velocity, &mut self.velocities[row].angular, lane);
-        get(&state.joint_position, &mut self.joints[row].position, lane);
-        get(&state.joint_velocity, &mut self.joints[row].velocity, lane);
+        read_lane(&state.position, &mut self.poses[row].position, lane);
+        read_lane(&state.rotation, &mut self.poses[row].rotation, lane);
+        read_lane(&state.linear_velocity, &mut self.velocities[row].linear, lane);
+        read_lane(&state.angular_velocity, &mut self.velocities[row].angular, lane);
+        read_lane(&state.joint_position, &mut self.joints[row].position, lane);
+        read_lane(&state.joint_velocity, &mut self.joints[row].velocity, lane);
     }
 
     #[inline]
     fn read_drive<L: Real>(&self, row: usize, drive: &mut Drive<L>, lane: usize) {
         for (targets, from) in drive.targets.iter_mut().zip(&self.targets[row].history) {
-            put(targets, from, lane);
+            write_lane(targets, from, lane);
         }
         // without a history no actuator sees a delay
         if drive.targets.len() > 1 {
-            put(&mut drive.delay, &self.delays[row].0, lane);
+            write_lane(&mut drive.delay, &self.delays[row].0, lane);
         }
-        put(&mut drive.base_force, &self.wrenches[row].force, lane);
-        put(&mut drive.base_torque, &self.wrenches[row].torque, lane);
+        write_lane(&mut drive.base_force, &self.wrenches[row].force, lane);
+        write_lane(&mut drive.base_torque, &self.wrenches[row].torque, lane);
         for from in &self.link_forces[row].0 {
             let force = drive.link_force_mut((from.link as usize, from.in_world));
             force.acts.set_lane(lane, 1.0);
-            put(&mut force.point, &from.point, lane);
-            put(&mut force.force, &from.force, lane);
-            put(&mut force.torque, &from.torque, lane);
+            write_lane(&mut force.point, &from.point, lane);
+            write_lane(&mut force.force, &from.force, lane);
+            write_lane(&mut force.torque, &from.torque, lane);
         }
     }
 
@@ -255,17 +255,11 @@ impl RobotRows for RobotSlices<'_> {
         touching: &[usize],
         lane: usize,
     ) {
-        get(&report.joint_effort, &mut self.efforts[row].applied, lane);
-        get(&report.joint_acceleration, &mut self.efforts[row].acceleration, lane);
+        self.efforts[row].set(report, lane);
         let net = |body: usize| report.body_force[body].map(|force| force.lane_f32(lane));
         let normal = |step: usize, body: usize| report.normal_force[step][body].lane_f32(lane);
         self.forces[row].set(feet, touching, net, normal);
-        for (y, x) in report.site_position.iter().zip(&mut self.feet[row].position) {
-            get(y, x, lane);
-        }
-        for (y, x) in report.site_velocity.iter().zip(&mut self.feet[row].velocity) {
-            get(y, x, lane);
-        }
+        self.feet[row].set(report, lane);
     }
 
     #[inline]
@@ -303,20 +297,4 @@ pub(crate) fn clear_drive<L: Real>(drive: &mut Drive<L>) {
     drive.base_force = [L::zero(); 3];
     drive.base_torque = [L::zero(); 3];
     drive.link_forces.clear();
-}
-
-/// Writes numbers into a lane.
-#[inline]
-pub(crate) fn put<L: Real, T: Real>(to: &mut [L], from: &[T], lane: usize) {
-    for (x, y) in to.iter_mut().zip(from) {
-        x.set_lane(lane, y.lane(0));
-    }
-}
-
-/// Reads numbers from a lane.
-#[inline]
-pub(crate) fn get<L: Real, T: Real>(from: &[L], to: &mut [T], lane: usize) {
-    for (y, x) in from.iter().zip(to) {
-        x.set_lane(0, y.lane(lane));
-    }
 }

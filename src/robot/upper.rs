@@ -13,7 +13,7 @@ use super::limbs::{LimbKind, Place};
 const NEAR_MIDDLE: f64 = 0.25;
 /// Counterparts agree in mass and length up to this share of the larger one, and lie mirrored up to
 /// this share of the body's width.
-const ALIKE: f64 = 0.25;
+const LARGEST_DIFFERENCE: f64 = 0.25;
 /// A limb in the middle that reaches less far than this share of the arms is a head, whatever
 /// number of joints it has.
 const SHORT: f64 = 0.6;
@@ -112,16 +112,16 @@ fn measured(pose: &ZeroPose<'_>, joints: Vec<usize>, twigs: Vec<usize>, middle: 
 /// Finds pairs of chains on both sides that agree in number of joints, mass, length and place, the
 /// nearest images first.
 fn find_partners(all: &mut [Measured], width: f64) {
-    let alike = |a: f64, b: f64| (a - b).abs() <= ALIKE * a.max(b);
+    let similar = |a: f64, b: f64| (a - b).abs() <= LARGEST_DIFFERENCE * a.max(b);
     let mirrored = |point: DVec3| DVec3::new(point.x, -point.y, point.z);
     let mut pairs = Vec::new();
     for (i, left) in all.iter().enumerate().filter(|(_, chain)| chain.side > 0.0) {
         for (j, right) in all.iter().enumerate().filter(|(_, chain)| chain.side < 0.0) {
             let apart = left.at.distance(mirrored(right.at));
             let agree = left.joints.len() == right.joints.len()
-                && alike(left.mass, right.mass)
-                && alike(left.reach, right.reach)
-                && apart <= ALIKE * width;
+                && similar(left.mass, right.mass)
+                && similar(left.reach, right.reach)
+                && apart <= LARGEST_DIFFERENCE * width;
             if agree {
                 pairs.push((apart + left.centre.distance(mirrored(right.centre)), i, j));
             }

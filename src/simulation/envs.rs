@@ -3,9 +3,9 @@
 use serde::{Deserialize, Serialize};
 
 use super::rows::Rows;
-use crate::dynamics::lanes::Real;
+use crate::dynamics::lanes::{Real, read_lane, write_lane};
 use crate::dynamics::{Drive, Report, State, Topology};
-use crate::engine::{Contacts, RobotRows, RowFamily, get, put};
+use crate::engine::{Contacts, RobotRows, RowFamily};
 use crate::workers::SplitRows;
 
 /// Numbers of a base's pose: position and quaternion.
@@ -72,12 +72,12 @@ impl Env {
     pub(super) fn read<L: Real>(&self, state: &mut State<L>, lane: usize) {
         let (pose, positions) = self.qpos.split_at(self.qpos.len() - self.bounds.len());
         let (twist, velocities) = self.qvel.split_at(self.qvel.len() - self.bounds.len());
-        put(&mut state.position, pose, lane);
-        put(&mut state.rotation, pose.get(3..).unwrap_or_default(), lane);
-        put(&mut state.linear_velocity, twist, lane);
-        put(&mut state.angular_velocity, twist.get(3..).unwrap_or_default(), lane);
-        put(&mut state.joint_position, positions, lane);
-        put(&mut state.joint_velocity, velocities, lane);
+        write_lane(&mut state.position, pose, lane);
+        write_lane(&mut state.rotation, pose.get(3..).unwrap_or_default(), lane);
+        write_lane(&mut state.linear_velocity, twist, lane);
+        write_lane(&mut state.angular_velocity, twist.get(3..).unwrap_or_default(), lane);
+        write_lane(&mut state.joint_position, positions, lane);
+        write_lane(&mut state.joint_velocity, velocities, lane);
     }
 
     #[inline]
@@ -85,12 +85,12 @@ impl Env {
         let (nq, nv, joints) = (self.qpos.len(), self.qvel.len(), self.bounds.len());
         let (pose, positions) = self.qpos.split_at_mut(nq - joints);
         let (twist, velocities) = self.qvel.split_at_mut(nv - joints);
-        get(&state.position, pose, lane);
-        get(&state.rotation, pose.get_mut(3..).unwrap_or_default(), lane);
-        get(&state.linear_velocity, twist, lane);
-        get(&state.angular_velocity, twist.get_mut(3..).unwrap_or_default(), lane);
-        get(&state.joint_position, positions, lane);
-        get(&state.joint_velocity, velocities, lane);
+        read_lane(&state.position, pose, lane);
+        read_lane(&state.rotation, pose.get_mut(3..).unwrap_or_default(), lane);
+        read_lane(&state.linear_velocity, twist, lane);
+        read_lane(&state.angular_velocity, twist.get_mut(3..).unwrap_or_default(), lane);
+        read_lane(&state.joint_position, positions, lane);
+        read_lane(&state.joint_velocity, velocities, lane);
     }
 }
 
@@ -165,7 +165,7 @@ impl RobotRows for EnvRows<'_> {
         };
         match asked.row(self.first + row) {
             &[same] => to.iter_mut().for_each(|x| x.set_lane(lane, same)),
-            row => put(to, row, lane),
+            row => write_lane(to, row, lane),
         }
     }
 
@@ -200,18 +200,18 @@ impl RobotRows for EnvRows<'_> {
         lane: usize,
     ) {
         let Env { effort, force, .. } = &mut self.envs[row];
-        get(&report.joint_effort, effort, lane);
+        read_lane(&report.joint_effort, effort, lane);
         force.fill([0.0; 3]);
         for &body in touching {
-            get(&report.body_force[body], &mut force[body], lane);
+            read_lane(&report.body_force[body], &mut force[body], lane);
         }
     }
 
     fn read_report<L: Real>(&self, row: usize, report: &mut Report<L>, lane: usize) {
         let Env { effort, force, .. } = &self.envs[row];
-        put(&mut report.joint_effort, effort, lane);
+        write_lane(&mut report.joint_effort, effort, lane);
         for (body, force) in force.iter().enumerate() {
-            put(&mut report.body_force[body], force, lane);
+            write_lane(&mut report.body_force[body], force, lane);
             report.touched[body] |= *force != [0.0; 3];
         }
     }

@@ -65,7 +65,7 @@ pub struct Control<'a> {
     pub implicit: Option<bool>,
 }
 
-/// Robots of one kind and their physics.
+/// Robots of one morphology and their physics.
 pub struct Simulation {
     robot: Robot,
     /// Joints whose config asks for explicit gains.
@@ -139,7 +139,7 @@ impl Simulation {
         } else {
             robot.nominal.clone()
         };
-        let engine = engine::make(choice, settings, &[robot.kind(&nominal, n)], &workers).map_err(|error| {
+        let engine = engine::make(choice, settings, &[robot.setup(&nominal, n)], &workers).map_err(|error| {
             let element = match error {
                 EngineError::Step(_) => "dt",
                 EngineError::Prismatic(_) | EngineError::Order => "engine",

@@ -9,7 +9,7 @@ use super::options::{SimulationOptions, check_non_negative};
 use super::rows::Rows;
 use crate::config::Library;
 use crate::dynamics::{ActuatorNetwork, ContactFriction, MAX_DEPTH, Parameters, Topology};
-use crate::engine::Kind;
+use crate::engine::MorphologySetup;
 use crate::error::Error;
 use crate::morphology::{ConfiguredRobot, lowest_point};
 use crate::robot::{self, Articulation, Coupled, LoadOptions, Model};
@@ -102,10 +102,21 @@ impl Robot {
     }
 
     /// The engine's view of it; `nominal` are the parameters of `count` robots.
-    pub(super) fn kind<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> Kind<'a, f64> {
+    pub(super) fn setup<'a>(&'a self, nominal: &'a Parameters<f64>, count: usize) -> MorphologySetup<'a, f64> {
         let Self { model, topology, align, shape_pairs, networks, .. } = self;
         let (body_groups, feet): (&[_], &[_]) = (&[], &[]);
-        Kind { model, topology, align, shape_pairs, nominal, body_groups, feet, networks, max_delay: 0, count }
+        MorphologySetup {
+            model,
+            topology,
+            align,
+            shape_pairs,
+            nominal,
+            body_groups,
+            feet,
+            networks,
+            max_delay: 0,
+            count,
+        }
     }
 
     /// An env to be read into, all numbers zero.

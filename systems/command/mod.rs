@@ -126,7 +126,7 @@ pub(super) fn update_other_commands(
         for i in 0..envs.len() {
             let commands = &mut commands[i];
             for (bit, term) in task.command_terms.iter().enumerate() {
-                term.kinds[index].advance(&mut commands.numbers[term.range.clone()], task.step_dt);
+                term.of_morphologies[index].advance(&mut commands.numbers[term.range.clone()], task.step_dt);
                 if commands.pinned >> bit & 1 == 1 {
                     continue;
                 }

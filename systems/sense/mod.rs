@@ -2,7 +2,7 @@
 //!
 //! A sensor is a component of a separate entity, one per env, and an implementation of [`Sensor`];
 //! one line, [`add_sensor`], registers it. It is then spawned, measured, cleared at the beginning
-//! of an episode and saved in snapshots. [`RowKind::is_on`] says which morphologies have it.
+//! of an episode and saved in snapshots. [`BlockMarker::is_on`] says which morphologies have it.
 
 mod contact;
 mod feet;
@@ -19,7 +19,7 @@ use bevy_ecs::system::SystemParam;
 use super::spawn::spawn_robots;
 use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_blocks, saved};
-use crate::blocks::{Block, Blocks, RowKind};
+use crate::blocks::{Block, BlockMarker, Blocks};
 use crate::components::{
     BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, Episode, HeightScan, Imu,
     JointDescriptors, JointState, Morphology, MountedOn, Robot, Stance,
@@ -61,7 +61,7 @@ pub struct SensedRobot<'a> {
 /// A sensor: the component that holds its reading.
 ///
 /// Functions that are `#[inline(always)]` are compiled for each instruction set.
-pub trait Sensor: saved::Saved + RowKind + Component<Mutability = Mutable> {
+pub trait Sensor: saved::Saved + BlockMarker + Component<Mutability = Mutable> {
     /// Data that all sensors of a kind share, such as the directions of rays.
     type Settings: Send + Sync + 'static;
 

@@ -574,14 +574,14 @@ fn command_terms(
         let Some(build) = &registered.build else {
             continue;
         };
-        let kinds = morphologies.0.iter().map(|robot| build(file, &element, &command.params, robot));
+        let of_morphologies = morphologies.0.iter().map(|robot| build(file, &element, &command.params, robot));
         let end = start + registered.spec.columns.len();
         terms.push(CommandTerm {
             name: name.clone(),
             columns: registered.spec.columns,
             range: start..end,
             resampling_time_s: command.resampling_time_s.map(|time| time as f32),
-            kinds: kinds.collect::<Result<_, _>>()?,
+            of_morphologies: of_morphologies.collect::<Result<_, _>>()?,
         });
         start = end;
     }

@@ -24,7 +24,7 @@ pub fn move_freely(
         settings: &settings,
         terrain: None,
         parameters,
-        kind: None,
+        nominal: None,
         drive: &Drive::zeros(topology, 1),
         substeps: 0..steps,
         state,

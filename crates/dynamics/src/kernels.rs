@@ -11,9 +11,10 @@ use super::math::{Mat3, Spatial, Vec3};
 use super::networks::NetworkStep;
 use super::parameters::Parameters;
 use super::report;
+use super::report::Report;
 use super::self_contact;
 use super::settings::ContactSettings;
-use super::state::{Report, State, Workspace};
+use super::state::{State, Workspace};
 use super::step::ControlStep;
 
 /// A type of number that robots are stepped in: the lanes of an instruction set, or a single

@@ -53,8 +53,9 @@ pub use networks::{
 };
 pub use parameters::Parameters;
 pub use polypod_lanes::{self as lanes, elementary};
+pub use report::Report;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
-pub use state::{Drive, LinkForce, LinkState, Report, State, Workspace};
+pub use state::{Drive, LinkForce, LinkState, State, Workspace};
 pub use step::ControlStep;
 pub use terrain::{HeightGrid, LARGE_GROUP, Terrain};

@@ -73,7 +73,7 @@ macro_rules! parameters {
             $(
                 #[inline(always)]
                 fn $name(self, i: usize) -> $t {
-                    if i < $own { self.own.$name[i] } else { $visit::splat(&self.kind.$name[i]) }
+                    if i < $own { self.own.$name[i] } else { $visit::splat(&self.shared.$name[i]) }
                 }
             )*
             $(
@@ -105,9 +105,9 @@ macro_rules! parameters {
 
             /// Whether the first lane differs from the morphology's body only in numbers that
             /// [`UniformParameters`] keep per env.
-            pub fn is_alike<T: Real>(&self, kind: &Parameters<T>) -> bool {
+            pub fn is_uniform_with<T: Real>(&self, nominal: &Parameters<T>) -> bool {
                 let mut differ = |x: &S, y: &T| x.lane_f32(0).to_bits() != y.lane_f32(0).to_bits();
-                true $( && !$visit::any(&self.$name[$own..], &kind.$name[$own..], &mut differ) )*
+                true $( && !$visit::any(&self.$name[$own..], &nominal.$name[$own..], &mut differ) )*
             }
 
             /// Writes one robot's numbers into a lane. Lists that hold them already stay shared.
@@ -163,7 +163,7 @@ macro_rules! parameters {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct UniformParameters<'a, S> {
     /// Parameters of the morphology, which the bodies share.
-    pub(super) kind: &'a Parameters<f32>,
+    pub(super) shared: &'a Parameters<f32>,
     /// Parameters that differ between bodies; the rest is not read.
     pub(super) own: &'a Parameters<S>,
 }

@@ -1,5 +1,5 @@
-//! Report of a physics step: impulses for the next warm start, contact forces, and positions of the
-//! sites.
+//! The report of a control step: efforts and accelerations of joints, contact forces, and positions
+//! of the sites. Also keeps the impulses for the next warm start.
 
 use super::articulation::Topology;
 use super::ground::{Plane, splat_frame};
@@ -9,7 +9,55 @@ use super::math::{Mat3, Spatial, Vec3, add, add_scaled, mul_vec, mul_vec_transpo
 use super::parameters::BodyNumbers;
 use super::rows::ContactWork;
 use super::settings::ContactSettings;
-use super::state::{Report, State, Workspace};
+use super::state::{State, Workspace};
+
+/// Report of one control step.
+#[derive(Clone, Debug)]
+pub struct Report<S> {
+    /// Actuator effort of the last physics step, N m, `[joints]`.
+    pub joint_effort: Vec<S>,
+    /// Joint acceleration over the last physics step, rad/s^2, `[joints]`.
+    pub joint_acceleration: Vec<S>,
+    /// Net contact force of the last physics step in world axes, N, `[bodies]`.
+    pub body_force: Vec<Vec3<S>>,
+    /// Sum of the normal forces of a body's contacts, N: `normal_force[physics step][body]`.
+    pub normal_force: Vec<Vec<S>>,
+    /// Bodies that had a contact in some lane and physics step: forces on all others are zero,
+    /// `[bodies]`.
+    pub touched: Vec<bool>,
+    /// Demands of the last physics step, one or else zero each: bodies near the ground or another
+    /// link, `[bodies]`, joints near a limit, `[blocks]`, and anything that was to be pushed out.
+    pub demands: Vec<S>,
+    /// Site positions in the env's frame, m, `[sites]`.
+    pub site_position: Vec<Vec3<S>>,
+    /// Site velocities in world axes, m/s, `[sites]`.
+    pub site_velocity: Vec<Vec3<S>>,
+}
+
+impl<S: Real> Report<S> {
+    /// All zero.
+    pub fn zeros(topology: &Topology, decimation: usize) -> Self {
+        let z = S::zero();
+        Self {
+            joint_effort: vec![z; topology.num_joints()],
+            joint_acceleration: vec![z; topology.num_joints()],
+            body_force: vec![[z; 3]; topology.num_bodies],
+            normal_force: vec![vec![z; topology.num_bodies]; decimation],
+            touched: vec![false; topology.num_bodies],
+            demands: vec![z; topology.num_bodies + topology.blocks().len() + 1],
+            site_position: vec![[z; 3]; topology.sites.len()],
+            site_velocity: vec![[z; 3]; topology.sites.len()],
+        }
+    }
+
+    /// Reports a joint after a physics step of `dt`: its actuator's effort, N m, and its velocities
+    /// `before` and `after` the step, rad/s. Both engines call it.
+    #[inline(always)]
+    pub fn set_joint(&mut self, joint: usize, effort: S, [before, after]: [S; 2], dt: S) {
+        self.joint_effort[joint] = effort;
+        self.joint_acceleration[joint] = (after - before) / dt;
+    }
+}
 
 /// Stores the impulses for the next warm start, and reports the contact forces of a physics step.
 ///

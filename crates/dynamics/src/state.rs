@@ -93,29 +93,6 @@ impl<S: Real> Drive<S> {
     }
 }
 
-/// Report of one control step.
-#[derive(Clone, Debug)]
-pub struct Report<S> {
-    /// Actuator effort of the last physics step, N m, `[joints]`.
-    pub joint_effort: Vec<S>,
-    /// Joint acceleration over the last physics step, rad/s^2, `[joints]`.
-    pub joint_acceleration: Vec<S>,
-    /// Net contact force of the last physics step in world axes, N, `[bodies]`.
-    pub body_force: Vec<Vec3<S>>,
-    /// Sum of the normal forces of a body's contacts, N: `normal_force[physics step][body]`.
-    pub normal_force: Vec<Vec<S>>,
-    /// Bodies that had a contact in some lane and physics step: forces on all others are zero,
-    /// `[bodies]`.
-    pub touched: Vec<bool>,
-    /// Demands of the last physics step, one or else zero each: bodies near the ground or another
-    /// link, `[bodies]`, joints near a limit, `[blocks]`, and anything that was to be pushed out.
-    pub demands: Vec<S>,
-    /// Site positions in the env's frame, m, `[sites]`.
-    pub site_position: Vec<Vec3<S>>,
-    /// Site velocities in world axes, m/s, `[sites]`.
-    pub site_velocity: Vec<Vec3<S>>,
-}
-
 impl<S: Real> State<S> {
     /// At rest at the origin, all joints zero.
     pub fn zeros(topology: &Topology) -> Self {
@@ -155,23 +132,6 @@ impl<S: Real> Drive<S> {
             base_force: [S::zero(); 3],
             base_torque: [S::zero(); 3],
             link_forces: Vec::new(),
-        }
-    }
-}
-
-impl<S: Real> Report<S> {
-    /// All zero.
-    pub fn zeros(topology: &Topology, decimation: usize) -> Self {
-        let z = S::zero();
-        Self {
-            joint_effort: vec![z; topology.num_joints()],
-            joint_acceleration: vec![z; topology.num_joints()],
-            body_force: vec![[z; 3]; topology.num_bodies],
-            normal_force: vec![vec![z; topology.num_bodies]; decimation],
-            touched: vec![false; topology.num_bodies],
-            demands: vec![z; topology.num_bodies + topology.blocks().len() + 1],
-            site_position: vec![[z; 3]; topology.sites.len()],
-            site_velocity: vec![[z; 3]; topology.sites.len()],
         }
     }
 }

@@ -14,13 +14,13 @@ use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
 use super::parameters::{BodyNumbers, FullFrictionParameters, Parameters, UniformParameters};
-use super::report::{report_contacts, report_sites};
+use super::report::{Report, report_contacts, report_sites};
 use super::rows::ContactWork;
 use super::self_contact::build_pairs;
 use super::settings::StepSettings;
 use super::solver::solve;
 use super::springs::{add_spring_impulses, add_spring_inertia};
-use super::state::{Drive, Report, State, Workspace};
+use super::state::{Drive, State, Workspace};
 use super::terrain::Terrain;
 
 /// One control step, or some of its physics steps.
@@ -33,9 +33,9 @@ pub struct ControlStep<'a, S: Real> {
     pub terrain: Option<Terrain<'a, S>>,
     /// The bodies.
     pub parameters: &'a Parameters<S>,
-    /// Parameters of the morphology, if all bodies are [uniform](Parameters::is_alike). The step is
-    /// then faster, and its bits are the same.
-    pub kind: Option<&'a Parameters<f32>>,
+    /// Parameters of the morphology, if all bodies [have them](Parameters::is_uniform_with). The
+    /// step is then faster, and its bits are the same.
+    pub nominal: Option<&'a Parameters<f32>>,
     /// Targets of the actuators.
     pub drive: &'a Drive<S>,
     /// Physics steps of the `decimation` ones that are made. The first one begins the report, the
@@ -64,9 +64,9 @@ impl<L: Lanes> ControlStep<'_, L> {
         if self.topology.friction != ContactFriction::Sliding || self.topology.has_surfaces {
             return L::vectorize(StepOf { parameters: FullFrictionParameters(parameters), step: self });
         }
-        match self.kind {
-            Some(kind) if L::READS_ALIKE => {
-                L::vectorize(StepOf { parameters: UniformParameters { kind, own: parameters }, step: self })
+        match self.nominal {
+            Some(shared) if L::READS_UNIFORM => {
+                L::vectorize(StepOf { parameters: UniformParameters { shared, own: parameters }, step: self })
             }
             _ => L::vectorize(StepOf { parameters, step: self }),
         }
@@ -312,9 +312,9 @@ fn integrate<S: Real>(
             let j = block.joints[place];
             // +0 turns -0 into +0
             let new = velocity[place] + z;
-            let change = new - state.joint_velocity[j];
-            report.joint_effort[j] = effort_slope[j].neg_mul_add(change, effort[j]);
-            report.joint_acceleration[j] = change / dt;
+            let velocity = [state.joint_velocity[j], new];
+            let effort = effort_slope[j].neg_mul_add(new - velocity[0], effort[j]);
+            report.set_joint(j, effort, velocity, dt);
             state.joint_velocity[j] = new;
             state.joint_position[j] = (moved[place] + z).mul_add(dt, state.joint_position[j]);
         }

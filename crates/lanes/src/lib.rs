@@ -50,9 +50,9 @@ pub trait Real:
     type Mask: Copy + Send + Sync + std::fmt::Debug;
     /// Number of independent numbers in a value.
     const LANES: usize;
-    /// Whether a step of uniform bodies reads their common numbers
-    /// from one copy. Where that is no faster, it is not compiled.
-    const READS_ALIKE: bool = false;
+    /// Whether a step of uniform bodies reads their common numbers from one copy. Where that is no
+    /// faster, it is not compiled.
+    const READS_UNIFORM: bool = false;
     /// The same number in every lane.
     fn splat(x: f64) -> Self;
     /// `self * b + c`, rounded once.
@@ -225,6 +225,22 @@ macro_rules! impl_scalar {
 }
 impl_scalar!(f32, u32, i32, elementary::sin_cos);
 impl_scalar!(f64, u64, i64, f64::sin_cos);
+
+/// Writes numbers of one robot into a lane; the shorter slice decides how many.
+#[inline]
+pub fn write_lane<L: Real, T: Real>(to: &mut [L], from: &[T], lane: usize) {
+    for (x, y) in to.iter_mut().zip(from) {
+        x.set_lane(lane, y.lane(0));
+    }
+}
+
+/// Reads the numbers of one robot from a lane; the shorter slice decides how many.
+#[inline]
+pub fn read_lane<L: Real, T: Real>(from: &[L], to: &mut [T], lane: usize) {
+    for (y, x) in from.iter().zip(to) {
+        x.set_lane(0, y.lane(lane));
+    }
+}
 
 /// A computation over lanes of type `S`, with its arguments.
 pub trait Kernel<S: Real> {

@@ -45,7 +45,7 @@ macro_rules! native_lanes {
         impl<P: Proof> Real for $name<P> {
             type Mask = [$mask; $registers];
             const LANES: usize = $registers * $width;
-            const READS_ALIKE: bool = true;
+            const READS_UNIFORM: bool = true;
             #[inline(always)]
             fn splat(x: f64) -> Self {
                 // SAFETY: as in `each`

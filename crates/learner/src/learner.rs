@@ -10,11 +10,11 @@ use crate::gaussian::{Distributions, RANGE};
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
-use crate::network::{Mirror, Net, NetworkState, Row, Which};
+use crate::network::{Mirror, Net, NetworkName, NetworkState, Row};
 use crate::normalizer::Normalizer;
 use crate::peers::{Alone, Peers, Shares, Worker};
 use crate::perceptron::Tile;
-use crate::random::Use;
+use crate::random::Purpose;
 use crate::reward_scale::RewardScale;
 use crate::rollout::{Episode, Part, parts_of};
 use crate::settings::{LearnerError, Settings, Symmetry};
@@ -111,7 +111,7 @@ impl Learner {
         let own = worker.envs(settings.num_envs)?;
         let all: Vec<_> = parts_of(settings.num_envs).collect();
         let shares = Shares::new(worker, all.len());
-        let (actor, critic) = (Net::new(Which::Actor, &settings), Net::new(Which::Critic, &settings));
+        let (actor, critic) = (Net::new(NetworkName::Actor, &settings), Net::new(NetworkName::Critic, &settings));
         let is_own = |envs: &Range<usize>| own.start <= envs.start && envs.end <= own.end;
         let parts = all.into_iter().filter(is_own).map(|envs| Part::new(envs, own.start, &settings)).collect();
         let of = |robot: &crate::settings::Robot| Mirror {
@@ -154,17 +154,17 @@ impl Learner {
         (algorithm.entropy_coef, algorithm.desired_kl) = (entropy_coef, desired_kl);
     }
 
-    fn net(&self, which: Which) -> &Net {
-        if which == Which::Actor { &self.actor } else { &self.critic }
+    fn net(&self, name: NetworkName) -> &Net {
+        if name == NetworkName::Actor { &self.actor } else { &self.critic }
     }
 
-    fn net_mut(&mut self, which: Which) -> &mut Net {
-        if which == Which::Actor { &mut self.actor } else { &mut self.critic }
+    fn net_mut(&mut self, name: NetworkName) -> &mut Net {
+        if name == NetworkName::Actor { &mut self.actor } else { &mut self.critic }
     }
 
     /// A network's numbers.
-    pub fn network(&self, which: Which) -> NetworkState {
-        self.net(which).state()
+    pub fn network(&self, name: NetworkName) -> NetworkState {
+        self.net(name).state()
     }
 
     /// Takes over a network's numbers.
@@ -172,15 +172,15 @@ impl Learner {
     /// # Errors
     /// Arrays of other sizes, a deviation or a mean of squares below 0, and a number that is not
     /// finite, which change nothing.
-    pub fn set_network(&mut self, which: Which, state: &NetworkState) -> Result<(), LearnerError> {
-        let has_deviations = !self.net(which).deviations().is_empty();
+    pub fn set_network(&mut self, name: NetworkName, state: &NetworkState) -> Result<(), LearnerError> {
+        let has_deviations = !self.net(name).deviations().is_empty();
         let deviations = state.weights.iter().take(usize::from(has_deviations)).flatten();
         check_numbers("deviations", deviations, 0.0)?;
         check_numbers("second", state.second.iter().flatten(), 0.0)?;
         for (element, arrays) in [("weights", &state.weights), ("first", &state.first)] {
             check_numbers(element, arrays.iter().flatten(), f32::MIN)?;
         }
-        let fits = self.net_mut(which).set_state(state);
+        let fits = self.net_mut(name).set_state(state);
         fits.then_some(()).ok_or_else(|| LearnerError::new("state", "its arrays have other sizes than the network's"))
     }
 
@@ -197,16 +197,21 @@ impl Learner {
     /// A network's statistics: of a perceptron, those of the observations; of a network of joints,
     /// those of states, of a description's numbers, of their logarithms and of the rest. Empty
     /// where nothing is normalised.
-    pub fn normalizers(&self, which: Which) -> &[Normalizer] {
-        &self.net(which).normalizers
+    pub fn normalizers(&self, name: NetworkName) -> &[Normalizer] {
+        &self.net(name).normalizers
     }
 
     /// Takes over one of a network's statistics; a network without them ignores it.
     ///
     /// # Errors
     /// A normalizer of another size, a variance below 0, and a number that is not finite.
-    pub fn set_normalizer(&mut self, which: Which, index: usize, normalizer: Normalizer) -> Result<(), LearnerError> {
-        let normalizers = &mut self.net_mut(which).normalizers;
+    pub fn set_normalizer(
+        &mut self,
+        name: NetworkName,
+        index: usize,
+        normalizer: Normalizer,
+    ) -> Result<(), LearnerError> {
+        let normalizers = &mut self.net_mut(name).normalizers;
         if normalizers.is_empty() {
             return Ok(());
         }
@@ -314,7 +319,13 @@ impl Learner {
         team.for_each(tasks, |(part, from, to)| {
             part.store_observations(step, from, num_obs);
             let (n, first_env) = (part.len(), part.envs.start);
-            part.find_bodies(Which::Actor, actor, step * n..(step + 1) * n, learns_images.then_some(mirrors), num_obs);
+            part.find_bodies(
+                NetworkName::Actor,
+                actor,
+                step * n..(step + 1) * n,
+                learns_images.then_some(mirrors),
+                num_obs,
+            );
             let mut old = std::mem::take(&mut part.bodies[0].old);
             let bodies = &part.bodies[0];
             let observations = part.observations[step * n * lines[0]..][..n * lines[0]].chunks_exact(lines[0]);
@@ -339,7 +350,7 @@ impl Learner {
                     let mean = &own_mean[..];
                     let at = (step * n + env) * lines[1];
                     let action = &mut part.actions[at..][..lines[1]];
-                    let mut noise = Use::Noise.stream(seed, time, first_env + env);
+                    let mut noise = Purpose::Noise.stream(seed, time, first_env + env);
                     let to = &mut to[env * num_actions..][..num_actions];
                     for (pair, to) in to.chunks_mut(2).enumerate() {
                         for (k, x) in noise.normal_pair().into_iter().take(to.len()).enumerate() {
@@ -388,11 +399,11 @@ impl Learner {
         let tasks: Vec<_> = self.parts.iter_mut().zip(&mut returns).collect();
         team.for_each(tasks, |(part, returns)| {
             let (n, lines, mirrors) = (part.len(), lines_of(num_obs), learns_images.then_some(mirrors));
-            part.find_bodies(Which::Critic, critic, 0..part.rewards.len(), mirrors, num_obs);
+            part.find_bodies(NetworkName::Critic, critic, 0..part.rewards.len(), mirrors, num_obs);
             let mut last = vec![Line::ZERO; n * lines];
             let from = &observations[part.rows.start * num_obs..part.rows.end * num_obs];
             crate::rollout::rows_to_lines(from, num_obs, &mut last);
-            let last_bodies = part.last_bodies(Which::Critic, critic, &last, num_obs);
+            let last_bodies = part.last_bodies(NetworkName::Critic, critic, &last, num_obs);
             let Part { observations: stored, values, last_values, robot_of, bodies: [_, bodies], .. } = part;
             let row = |k: usize, observation, body: &[usize]| Row {
                 observation,
@@ -410,7 +421,7 @@ impl Learner {
             });
             *returns = part.discounted_returns(algorithm.gamma);
             let samples = part.rewards.len();
-            part.order = crate::random::shuffled(samples, Use::Order.stream(seed, iteration, part.envs.start));
+            part.order = crate::random::shuffled(samples, Purpose::Order.stream(seed, iteration, part.envs.start));
         });
 
         let (robots, steps) = (self.settings.robots.len(), self.settings.options.num_steps_per_env);

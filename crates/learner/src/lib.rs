@@ -28,7 +28,7 @@ mod update;
 pub use activation::Activation;
 pub use arrays::RolloutArrays;
 pub use learner::{Learner, Team};
-pub use network::{NetworkState, Which};
+pub use network::{NetworkName, NetworkState};
 pub use normalizer::Normalizer;
 pub use peers::{Peers, Worker};
 pub use reward_scale::RewardScale;

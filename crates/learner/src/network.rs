@@ -13,7 +13,7 @@ use crate::settings::{Robot, Settings};
 
 /// One of the two networks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Which {
+pub enum NetworkName {
     /// The policy's mean.
     Actor,
     /// The value function.
@@ -80,15 +80,15 @@ pub(crate) fn mirrored(from: &[Line], mirror: &[(usize, f32)], to: &mut [Line]) 
 
 impl Net {
     /// The actor or the critic of some settings, with zeros.
-    pub(crate) fn new(which: Which, settings: &Settings) -> Self {
-        let (network, outputs, extra) = match which {
-            Which::Actor => (&settings.options.actor, settings.num_actions, settings.num_actions),
-            Which::Critic => (&settings.options.critic, 1, 0),
+    pub(crate) fn new(name: NetworkName, settings: &Settings) -> Self {
+        let (network, outputs, extra) = match name {
+            NetworkName::Actor => (&settings.options.actor, settings.num_actions, settings.num_actions),
+            NetworkName::Critic => (&settings.options.critic, 1, 0),
         };
         let (mut columns, inputs) = (None, network.columns.len());
         let model = match &network.joints {
             Some(joints) => {
-                let outputs = (which == Which::Critic).then_some(outputs);
+                let outputs = (name == NetworkName::Critic).then_some(outputs);
                 Model::Joints(Box::new(JointNetwork::new(joints, network, outputs, settings)))
             }
             None => {
@@ -259,9 +259,9 @@ impl Net {
 
     /// Moments of a part's samples, for [`Net::update_normalizers`]; None for a network without
     /// statistics of joints.
-    pub(crate) fn moments(&self, part: &Part, which: Which, num_obs: usize) -> Option<Vec<Moments>> {
+    pub(crate) fn moments(&self, part: &Part, name: NetworkName, num_obs: usize) -> Option<Vec<Moments>> {
         let joints = self.joints().filter(|_| !self.normalizers.is_empty())?;
-        Some(joints.moments(part, &part.bodies[which as usize], &self.normalizers, num_obs))
+        Some(joints.moments(part, &part.bodies[name as usize], &self.normalizers, num_obs))
     }
 
     /// Takes the moments of all parts into the statistics of a network of joints.

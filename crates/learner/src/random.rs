@@ -46,12 +46,12 @@ impl Stream {
 }
 
 /// Purpose of a stream.
-pub(crate) enum Use {
+pub(crate) enum Purpose {
     Noise = 1,
     Order = 2,
 }
 
-impl Use {
+impl Purpose {
     /// The stream of an env at a control step, or of a part in an iteration.
     pub(crate) fn stream(self, seed: u64, time: u64, place: usize) -> Stream {
         Stream::new(seed, [self as u64, time, place as u64])
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn normal_numbers_have_their_moments() {
-        let mut stream = Use::Noise.stream(3, 5, 7);
+        let mut stream = Purpose::Noise.stream(3, 5, 7);
         let (mut sums, count) = ([0.0; 4], 200_000);
         for x in (0..count / 2).flat_map(|_| stream.normal_pair()) {
             let x = f64::from(x);
@@ -85,7 +85,7 @@ mod tests {
 
     #[test]
     fn orders_hold_each_number_once_and_differ() {
-        let order = |place| shuffled(1000, Use::Order.stream(1, 2, place));
+        let order = |place| shuffled(1000, Purpose::Order.stream(1, 2, place));
         let mut sorted = order(0);
         assert_ne!(sorted, order(1));
         assert_eq!(order(0), order(0));

@@ -6,7 +6,7 @@ use std::ops::Range;
 use crate::bodies::Bodies;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
-use crate::network::{Mirror, Net, Which};
+use crate::network::{Mirror, Net, NetworkName};
 use crate::settings::{Robot, Settings};
 
 /// Largest number of parts of the envs.
@@ -138,14 +138,14 @@ impl Part {
     /// them.
     pub(crate) fn find_bodies(
         &mut self,
-        which: Which,
+        name: NetworkName,
         net: &Net,
         samples: Range<usize>,
         mirrors: Option<&[Mirror]>,
         num_obs: usize,
     ) {
         let Some(joints) = net.joints() else { return };
-        let (lines, n, bodies) = (lines_of(num_obs), self.envs.len(), &mut self.bodies[which as usize]);
+        let (lines, n, bodies) = (lines_of(num_obs), self.envs.len(), &mut self.bodies[name as usize]);
         for sample in samples {
             let (env, observation) = (sample % n, &self.observations[sample * lines..][..lines]);
             let mirror = mirrors.map(|mirrors| &mirrors[self.robot_of[env]]);
@@ -155,9 +155,9 @@ impl Part {
     }
 
     /// Bodies of the observations after the last step, `[envs]`; empty for a perceptron.
-    pub(crate) fn last_bodies(&mut self, which: Which, net: &Net, last: &[Line], num_obs: usize) -> Vec<usize> {
+    pub(crate) fn last_bodies(&mut self, name: NetworkName, net: &Net, last: &[Line], num_obs: usize) -> Vec<usize> {
         let Some(joints) = net.joints() else { return Vec::new() };
-        let (bodies, rows) = (&mut self.bodies[which as usize], last.chunks_exact(lines_of(num_obs)).enumerate());
+        let (bodies, rows) = (&mut self.bodies[name as usize], last.chunks_exact(lines_of(num_obs)).enumerate());
         rows.map(|(env, of)| bodies.number_of(joints, &net.normalizers, env, of, None)).collect()
     }
 

@@ -13,7 +13,7 @@ use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
 use crate::matrix::Matrix;
 use crate::moments::Moments;
-use crate::network::{Mirror, Net, Row, Which, mirrored};
+use crate::network::{Mirror, Net, NetworkName, Row, mirrored};
 use crate::peers::{Message, lines, term};
 use crate::rollout::{Part, parts_of, share};
 use crate::settings::{LearnerError, Robot, Settings, Symmetry};
@@ -39,7 +39,7 @@ const CHUNK: usize = 256;
 /// sends them at once.
 const MOST_GATHERED: usize = 2;
 /// Bytes of the figures that come with gradients.
-const FIGURES: usize = size_of::<Figures>();
+const LOSS_BYTES: usize = size_of::<LossSums>();
 /// Least divisor of a norm.
 const EPSILON: f64 = 1e-6;
 /// Factor or divisor of the learning rate where the divergence is far from the wanted one.
@@ -248,13 +248,13 @@ impl MiniBatch<'_> {
 }
 
 /// Figures that come with gradients; see [`Total`].
-type Figures = [f64; NUMBERS];
+type LossSums = [f64; NUMBERS];
 
 /// A mini-batch's gradients of both networks, summed over the parts of all workers.
 struct Total {
     /// Surrogate loss, value loss, divergence, each summed over the samples; samples that are no
     /// images; mean entropy of the samples, where robots have different actions.
-    sums: Figures,
+    sums: LossSums,
     /// Squared norm of each network's gradient.
     squares: [f64; 2],
 }
@@ -361,7 +361,7 @@ impl Learner {
 
     /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
     fn sum_gradients(&mut self, team: &impl Team, parts: &[[Gradient; 2]]) -> Result<Total, LearnerError> {
-        let figures = |[actor, critic]: &[Gradient; 2]| -> Vec<Figures> {
+        let figures = |[actor, critic]: &[Gradient; 2]| -> Vec<LossSums> {
             vec![[actor.loss, critic.loss, actor.divergence, actor.samples as f64, actor.entropy]]
         };
         let dispatch = self.dispatch;
@@ -378,7 +378,7 @@ impl Learner {
             let sums = self.shares.sum(&*self.peers, &figures)?.first().copied().unwrap_or_default();
             return Ok(Total { sums, squares });
         }
-        let mut nodes: Vec<(Vec<Line>, Figures)> = Vec::new();
+        let mut nodes: Vec<(Vec<Line>, LossSums)> = Vec::new();
         for (range, tree) in &self.shares.nodes {
             let mut total = vec![Line::ZERO; lengths[0] + lengths[1]];
             let (actor, critic) = total.split_at_mut(lengths[0]);
@@ -401,25 +401,25 @@ impl Learner {
 
     /// Gathers the subtrees of all workers, and the sums of their figures: for few workers, all of
     /// which get everything.
-    fn gather(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
+    fn gather(&self, nodes: &[(Vec<Line>, LossSums)]) -> Result<(Vec<Vec<Line>>, LossSums), LearnerError> {
         let mut message = Message::default();
         for (total, figures) in nodes {
             message.numbers(figures);
             message.lines(total);
         }
         let bytes = size_of_val(&nodes[0].0[..]);
-        let all = self.shares.gather(&*self.peers, message, FIGURES + bytes)?;
-        let sums = self.shares.top.fold(all.iter().map(|node| term(&node[..FIGURES])), Term::add);
-        Ok((all.iter().map(|node| lines(&node[FIGURES..])).collect(), sums.unwrap_or_default()))
+        let all = self.shares.gather(&*self.peers, message, LOSS_BYTES + bytes)?;
+        let sums = self.shares.top.fold(all.iter().map(|node| term(&node[..LOSS_BYTES])), Term::add);
+        Ok((all.iter().map(|node| lines(&node[LOSS_BYTES..])).collect(), sums.unwrap_or_default()))
     }
 
     /// Reduces the subtrees of all workers, and their figures: each worker sums a piece, and sends
     /// it to the others.
-    fn reduce(&self, nodes: &[(Vec<Line>, Figures)]) -> Result<(Vec<Vec<Line>>, Figures), LearnerError> {
+    fn reduce(&self, nodes: &[(Vec<Line>, LossSums)]) -> Result<(Vec<Vec<Line>>, LossSums), LearnerError> {
         let (count, length) = (self.shares.worker.count, nodes[0].0.len());
         let piece = length.div_ceil(count);
         let range = |worker: usize| (worker * piece).min(length)..((worker + 1) * piece).min(length);
-        let size = FIGURES + piece * size_of::<Line>();
+        let size = LOSS_BYTES + piece * size_of::<Line>();
         let write = |worker: usize, message: &mut Message| {
             for (total, figures) in nodes {
                 message.numbers(figures);
@@ -428,8 +428,8 @@ impl Learner {
             }
         };
         let mine = self.shares.exchange(&*self.peers, write, size)?;
-        let sums = self.shares.top.fold(mine.iter().map(|node| term(&node[..FIGURES])), Term::add);
-        let leaves: Vec<Vec<Line>> = mine.iter().map(|node| lines(&node[FIGURES..])).collect();
+        let sums = self.shares.top.fold(mine.iter().map(|node| term(&node[..LOSS_BYTES])), Term::add);
+        let leaves: Vec<Vec<Line>> = mine.iter().map(|node| lines(&node[LOSS_BYTES..])).collect();
         let mut total = vec![Line::ZERO; piece];
         let leaves = leaves.iter().map(Vec::as_slice).collect();
         self.dispatch.vectorize(SumLines { tree: &self.shares.top, leaves, total: &mut total });
@@ -464,12 +464,12 @@ impl Learner {
     /// Takes the observations of the iteration into the networks' statistics.
     fn update_normalizers(&mut self, team: &impl Team) -> Result<(), LearnerError> {
         let num_obs = self.settings.num_obs;
-        for which in [Which::Actor, Which::Critic] {
+        for name in [NetworkName::Actor, NetworkName::Critic] {
             let mut moments = vec![None; self.parts.len()];
-            let net = if which == Which::Actor { &mut self.actor } else { &mut self.critic };
+            let net = if name == NetworkName::Actor { &mut self.actor } else { &mut self.critic };
             let shared = &*net;
             team.for_each(self.parts.iter().zip(&mut moments).collect(), |(part, moments)| {
-                *moments = shared.moments(part, which, num_obs);
+                *moments = shared.moments(part, name, num_obs);
             });
             let moments: Vec<Vec<Moments>> = moments.into_iter().flatten().collect();
             if !moments.is_empty() {

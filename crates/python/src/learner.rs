@@ -9,7 +9,7 @@ use pyo3::types::PyDict;
 
 use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
 use super::vec_sim::VecSim;
-use polypod::learner::{self, LearnerError, NetworkState, Normalizer, RewardScale, RolloutArrays, Which, Worker};
+use polypod::learner::{self, LearnerError, NetworkName, NetworkState, Normalizer, RewardScale, RolloutArrays, Worker};
 
 /// Numbers as NumPy arrays of one dimension.
 type Arrays<'py, T> = Vec<Bound<'py, PyArray1<T>>>;
@@ -76,10 +76,10 @@ impl Learner {
     }
 }
 
-fn which(name: &str) -> PyResult<Which> {
+fn network_name(name: &str) -> PyResult<NetworkName> {
     match name {
-        "actor" => Ok(Which::Actor),
-        "critic" => Ok(Which::Critic),
+        "actor" => Ok(NetworkName::Actor),
+        "critic" => Ok(NetworkName::Critic),
         _ => Err(value_error(format!("there is no network {name:?}; use \"actor\" or \"critic\""))),
     }
 }
@@ -211,7 +211,7 @@ impl Learner {
 
     #[doc = docstring!("Learner.network")]
     fn network<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Network<'py>> {
-        let NetworkState { weights, first, second, steps } = self.learner.network(which(name)?);
+        let NetworkState { weights, first, second, steps } = self.learner.network(network_name(name)?);
         Ok((arrays(py, weights), arrays(py, first), arrays(py, second), steps))
     }
 
@@ -230,9 +230,9 @@ impl Learner {
         second: Vec<PyReadonlyArray1<f32>>,
         #[pyo3(from_py_with = whole)] steps: i128,
     ) -> PyResult<()> {
-        let (which, weights, steps) = (which(name)?, vectors(&weights)?, unsigned(py, "steps", steps)?);
+        let (network, weights, steps) = (network_name(name)?, vectors(&weights)?, unsigned(py, "steps", steps)?);
         let state = NetworkState { weights, first: vectors(&first)?, second: vectors(&second)?, steps };
-        let done = self.learner.run(py, |learner| learner.set_network(which, &state))?;
+        let done = self.learner.run(py, |learner| learner.set_network(network, &state))?;
         done.map_err(|error| to_python(py, error.into()))
     }
 
@@ -247,7 +247,7 @@ impl Learner {
         let index: usize = unsigned(py, "index", index)?;
         Ok(self
             .learner
-            .normalizers(which(name)?)
+            .normalizers(network_name(name)?)
             .get(index)
             .map(|of| (PyArray1::from_slice(py, &of.mean), PyArray1::from_slice(py, &of.variance), of.count)))
     }
@@ -263,9 +263,10 @@ impl Learner {
         #[pyo3(from_py_with = whole)] count: i128,
         #[pyo3(from_py_with = whole)] index: i128,
     ) -> PyResult<()> {
-        let (which, count, index) = (which(name)?, unsigned(py, "count", count)?, unsigned(py, "index", index)?);
+        let (network, count, index) =
+            (network_name(name)?, unsigned(py, "count", count)?, unsigned(py, "index", index)?);
         let normalizer = Normalizer::from_parts(mean.as_slice()?.to_vec(), variance.as_slice()?.to_vec(), count);
-        let done = self.learner.run(py, |learner| learner.set_normalizer(which, index, normalizer))?;
+        let done = self.learner.run(py, |learner| learner.set_normalizer(network, index, normalizer))?;
         done.map_err(|error| to_python(py, error.into()))
     }
 

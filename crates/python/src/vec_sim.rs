@@ -25,7 +25,11 @@ use polypod::workers::Workers;
 use polypod::world::Ground;
 use polypod::{Autoreset, ForceRows, Sim, SimOptions};
 
-/// The arrays that Python sees, allocated once.
+/// The arrays that Python sees, allocated once: copies of the batch, made with Python's lock held.
+///
+/// Systems that wrote here directly would save 0.3 % of a control step of `velocity_flat` and 1.5 %
+/// of one of sixteen morphologies. They would need unsafe code, and a thread of Python could read
+/// an array while a step writes it.
 struct Arrays {
     /// Two arrays in turn, so that a learner may store the present one after the next step.
     observations: [Py<PyArray2<f32>>; 2],

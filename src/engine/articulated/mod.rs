@@ -13,7 +13,7 @@ use std::cmp::Reverse;
 use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::{DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run};
+use super::{DivergenceRecord, MorphologySetup, RobotRows, RowEngine, RowFamily, Run};
 use crate::blocks::BlockList;
 use crate::dynamics::lanes::Real;
 use crate::dynamics::{
@@ -56,9 +56,9 @@ struct Bodies<L, T> {
     networks: Vec<ActuatorNetwork>,
     nominal: Parameters<L>,
     /// The morphology's parameters, in one lane.
-    kind: Parameters<f32>,
-    /// Whether all bodies have the morphology's numbers, see [`Parameters::is_alike`].
-    alike: bool,
+    shared: Parameters<f32>,
+    /// Whether all bodies have the morphology's numbers, see [`Parameters::is_uniform_with`].
+    uniform: bool,
     own: ParameterDeltas<L, T>,
     bits: DemandBits,
 }
@@ -66,7 +66,7 @@ struct Bodies<L, T> {
 /// A thread's memory for stepping packs.
 struct Scratch<L: Kernels> {
     /// Workspace of each morphology.
-    benches: Vec<PackWorkspace<L>>,
+    workspaces: Vec<PackWorkspace<L>>,
     pack_ordering: PackOrder,
 }
 
@@ -86,37 +86,39 @@ pub(crate) struct Packs<L: Kernels, T> {
 }
 
 impl<L: Kernels, T: Real> Packs<L, T> {
-    /// Robots of some kinds, in contiguous blocks.
+    /// Robots of some morphologies, in contiguous blocks.
     pub(crate) fn new(
         settings: StepSettings,
         terrain: Option<Arc<HeightGrid>>,
-        kinds: &[Kind<T>],
+        setups: &[MorphologySetup<T>],
         resident: bool,
         threads: usize,
     ) -> Self {
         let (mut bodies, mut first_env, mut packs) = (Vec::new(), 0, Vec::new());
-        for kind in kinds {
-            let Kind { topology, nominal, body_groups, count, .. } = kind;
+        for setup in setups {
+            let MorphologySetup { topology, nominal, body_groups, count, .. } = setup;
             bodies.push(Bodies {
                 first_env,
                 first_pack: packs.len(),
                 count: *count,
                 topology: (*topology).clone(),
-                networks: kind.networks.to_vec(),
+                networks: setup.networks.to_vec(),
                 nominal: Parameters::from_scalars(topology, nominal),
-                kind: Parameters::from_scalars(topology, nominal),
-                alike: true,
+                shared: Parameters::from_scalars(topology, nominal),
+                uniform: true,
                 own: ParameterDeltas::none(),
                 bits: DemandBits::new(body_groups, topology.blocks().len()),
             });
             first_env += count;
             if resident {
-                packs.resize(packs.len() + count.div_ceil(L::LANES), Pack::new(kind, 1));
+                packs.resize(packs.len() + count.div_ceil(L::LANES), Pack::new(setup, 1));
             }
         }
-        let bench = |(kind, of): (&Kind<T>, &Bodies<L, T>)| PackWorkspace::new(kind, &of.nominal, settings.decimation);
+        let workspace = |(setup, of): (&MorphologySetup<T>, &Bodies<L, T>)| {
+            PackWorkspace::new(setup, &of.nominal, settings.decimation)
+        };
         let scratch = Pool::new(threads, || Scratch {
-            benches: kinds.iter().zip(&bodies).map(bench).collect(),
+            workspaces: setups.iter().zip(&bodies).map(workspace).collect(),
             pack_ordering: PackOrder::default(),
         });
         let mut order: Vec<usize> = (0..bodies.len()).collect();
@@ -150,20 +152,20 @@ impl<L: Kernels, T: Real> Packs<L, T> {
             kept.push(Some(mine));
             rest = more;
         }
-        let mut kinds: Vec<_> = bodies.iter().map(|_| None).collect();
+        let mut of_blocks: Vec<_> = bodies.iter().map(|_| None).collect();
         for block in blocks {
             let morphology = usize::from(block.morphology.0);
-            kinds[morphology] = kept[morphology].take().map(|(keys, resident)| (block.rows, keys, resident));
+            of_blocks[morphology] = kept[morphology].take().map(|(keys, resident)| (block.rows, keys, resident));
         }
         let mut left: usize = bodies.iter().map(|of| of.count.div_ceil(L::LANES)).sum();
         let mut tasks = Vec::new();
         for &morphology in order {
             let (count, mut first) = (bodies[morphology].count, 0);
-            let mut rest = kinds[morphology].take().filter(|_| count > 0);
-            while let Some(kind) = rest {
+            let mut rest = of_blocks[morphology].take().filter(|_| count > 0);
+            while let Some(robots) = rest {
                 let packs = workers.share(left, 1).min((count - first).div_ceil(L::LANES));
                 let n = (packs * L::LANES).min(count - first);
-                let ((rows, keys, resident), more) = kind.split_rows(n);
+                let ((rows, keys, resident), more) = robots.split_rows(n);
                 tasks.push(Task { morphology, first, rows, keys, resident });
                 (left, first) = (left - packs, first + n);
                 rest = Some(more).filter(|_| first < count);
@@ -176,8 +178,8 @@ impl<L: Kernels, T: Real> Packs<L, T> {
 impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
     fn upload(&mut self, env: usize, parameters: &Parameters<F::Number>) {
         let morphology = self.bodies.partition_point(|of| of.first_env + of.count <= env);
-        if let Some(Bodies { first_env, count, nominal, alike, own, .. }) = self.bodies.get_mut(morphology) {
-            *alike = *alike && parameters.is_alike(nominal);
+        if let Some(Bodies { first_env, count, nominal, uniform, own, .. }) = self.bodies.get_mut(morphology) {
+            *uniform = *uniform && parameters.is_uniform_with(nominal);
             own.set_row(env - *first_env, *count, parameters, nominal);
         }
     }
@@ -204,9 +206,10 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
         let found = Mutex::new(Vec::new());
         let tasks = Self::share_out(bodies, order, workers, blocks, keys, resident);
         workers.for_each(tasks.into_iter(), |Task { morphology, first, mut rows, keys, resident }| {
-            scratch.with(|Scratch { benches, pack_ordering }| {
-                let Bodies { first_env, topology, networks, kind, alike, own, bits, .. } = &bodies[morphology];
-                let PackWorkspace { nominal, without_gains, work, features, pack: visitors } = &mut benches[morphology];
+            scratch.with(|Scratch { workspaces, pack_ordering }| {
+                let Bodies { first_env, topology, networks, shared, uniform, own, bits, .. } = &bodies[morphology];
+                let PackWorkspace { nominal, without_gains, work, features, pack: gathered } =
+                    &mut workspaces[morphology];
                 let mix = !F::RESIDENT && own.may_mix();
                 let order = if mix { pack_ordering.sort(keys) } else { pack_ordering.keep(keys.len()) };
                 for (index, lanes) in order.chunks(L::LANES).enumerate() {
@@ -217,13 +220,13 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                             pack
                         }
                         None => {
-                            visitors.gather(&rows, lanes);
+                            gathered.gather(&rows, lanes);
                             // prefetch the next rows: the processor cannot guess them where rows
                             // are not in the order of memory
                             for &row in order.iter().skip((index + 1) * L::LANES).take(L::LANES) {
                                 rows.prefetch(row);
                             }
-                            &mut *visitors
+                            &mut *gathered
                         }
                     };
                     let parameters = if run.gains {
@@ -258,7 +261,7 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                                 settings,
                                 terrain: terrain.map(|grid| Terrain { grid, origin: &pack.origin }),
                                 parameters,
-                                kind: Some(kind).filter(|_| *alike && run.gains),
+                                nominal: Some(shared).filter(|_| *uniform && run.gains),
                                 drive: &pack.drive,
                                 substeps: substep..substep + at_once,
                                 state: &mut pack.state,

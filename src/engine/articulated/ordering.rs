@@ -84,13 +84,13 @@ mod tests {
         let bits = DemandBits::new(&groups, 2);
         // demands of each robot beyond its feet, in the expected order: bodies 0 to 6, blocks 7 and
         // 8, a push
-        let kinds: [&[usize]; 6] = [&[], &[9], &[8], &[4], &[1, 9], &[0]];
+        let near: [&[usize]; 6] = [&[], &[9], &[8], &[4], &[1, 9], &[0]];
         // an order unlike the expected one, with a robot without its second foot, which comes first
         // of all
-        let kind = |row: usize| if row == 42 { None } else { Some((row * 5 + 2) % kinds.len()) };
+        let group = |row: usize| if row == 42 { None } else { Some((row * 5 + 2) % near.len()) };
         let key = |row| {
-            let asks = |demand| match kind(row) {
-                Some(kind) => kinds[kind].contains(&demand) || demand == 3 || demand == 6,
+            let asks = |demand| match group(row) {
+                Some(group) => near[group].contains(&demand) || demand == 3 || demand == 6,
                 None => demand == 3,
             };
             let demands: Vec<f32> = (0..10).map(|demand| f32::from(u8::from(asks(demand)))).collect();
@@ -99,7 +99,7 @@ mod tests {
         let keys: Vec<u32> = (0..43).map(key).collect();
         let mut pack_ordering = PackOrder::default();
         let order = pack_ordering.sort(&keys).to_vec();
-        let mut stand: Vec<Option<usize>> = order.iter().map(|&row| kind(row)).collect();
+        let mut stand: Vec<Option<usize>> = order.iter().map(|&row| group(row)).collect();
         stand.dedup();
         assert_eq!(stand, [None, Some(0), Some(1), Some(2), Some(3), Some(4), Some(5)], "{order:?}");
         let mut rows = order;

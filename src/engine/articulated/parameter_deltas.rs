@@ -185,7 +185,7 @@ mod tests {
         let count = 2 * Portable::LANES + 3;
         let mut bodies = vec![model.nominal.clone(); count];
         let mut own = ParameterDeltas::none();
-        let mut bench = nominal.clone();
+        let mut of_pack = nominal.clone();
         let few: [fn(&mut Parameters<f32>, f32); 4] = [
             |body, x| body.mass[0] += x,
             |body, x| body.com[0][1] -= x,
@@ -205,7 +205,7 @@ mod tests {
             let sorted: Vec<usize> = (0..count).collect();
             let order = if own.may_mix() { mixed } else { sorted };
             for (pack, rows) in order.chunks(Portable::LANES).enumerate() {
-                let found = own.of_pack(0, pack, rows, &mut bench);
+                let found = own.of_pack(0, pack, rows, &mut of_pack);
                 for lane in 0..Portable::LANES {
                     // idle lanes shadow the last row
                     let row = rows[lane.min(rows.len() - 1)];

@@ -2,9 +2,9 @@
 
 use std::ops::Range;
 
-use super::super::{Kind, RobotRows, StateLimits, StateNumbers, clear_drive, get, history_length, put, state_numbers};
+use super::super::{MorphologySetup, RobotRows, StateLimits, StateNumbers, clear_drive, history_length, state_numbers};
 use crate::components::ContactImpulse;
-use crate::dynamics::lanes::{Kernel, Lanes, Real};
+use crate::dynamics::lanes::{Kernel, Lanes, Real, read_lane, write_lane};
 use crate::dynamics::{ActuatorNetwork, Drive, Parameters, Report, State, Workspace};
 
 /// One pack: robots side by side in lanes. Their bodies' parameters are in [`PackWorkspace`].
@@ -40,29 +40,29 @@ pub(super) struct PackWorkspace<L: Real> {
 
 impl<L: Lanes> PackWorkspace<L> {
     /// Memory for a morphology whose parameters are `nominal` in every lane.
-    pub(super) fn new<T>(kind: &Kind<T>, nominal: &Parameters<L>, decimation: usize) -> Self {
+    pub(super) fn new<T>(setup: &MorphologySetup<T>, nominal: &Parameters<L>, decimation: usize) -> Self {
         Self {
             nominal: nominal.clone(),
             without_gains: nominal.clone(),
-            work: Workspace::new(kind.topology),
+            work: Workspace::new(setup.topology),
             features: Vec::new(),
-            pack: Pack::new(kind, decimation),
+            pack: Pack::new(setup, decimation),
         }
     }
 }
 
 impl<L: Lanes> Pack<L> {
     /// Robots at rest at the world's origin.
-    pub(super) fn new<T>(kind: &Kind<T>, decimation: usize) -> Self {
-        let topology = kind.topology;
+    pub(super) fn new<T>(setup: &MorphologySetup<T>, decimation: usize) -> Self {
+        let topology = setup.topology;
         Self {
             origin: [L::zero(); 2],
             state: State::zeros(topology),
-            drive: Drive::zeros(topology, history_length(kind.max_delay, decimation)),
-            memory: vec![L::zero(); ActuatorNetwork::num_remembered_by(kind.networks)],
+            drive: Drive::zeros(topology, history_length(setup.max_delay, decimation)),
+            memory: vec![L::zero(); ActuatorNetwork::num_remembered_by(setup.networks)],
             report: Report::zeros(topology, decimation),
             presses: vec![false; topology.num_impulses()],
-            feet: kind.feet.to_vec(),
+            feet: setup.feet.to_vec(),
             touching: Vec::new(),
         }
     }
@@ -106,7 +106,7 @@ impl<L: Lanes> Pack<L> {
         for &contact in &self.state.pressing {
             self.presses[contact as usize] = true;
             for lane in lanes.clone() {
-                put(&mut self.state.impulse[contact as usize], &[0.0; 3], lane);
+                write_lane(&mut self.state.impulse[contact as usize], &[0.0; 3], lane);
             }
         }
         for lane in lanes {
@@ -121,19 +121,19 @@ impl<L: Lanes> Pack<L> {
     fn read_row(&mut self, rows: &impl RobotRows, row: usize, lane: usize) {
         let state = &mut self.state;
         rows.read_motion(row, state, lane);
-        put(&mut self.origin, &rows.origin(row), lane);
-        put(&mut self.memory, rows.memory(row), lane);
+        write_lane(&mut self.origin, &rows.origin(row), lane);
+        write_lane(&mut self.memory, rows.memory(row), lane);
         let (contacts, bounds) = rows.impulses(row);
         for ContactImpulse { contact, impulse } in contacts {
             let contact = *contact as usize;
             if let (Some(all), Some(presses)) = (state.impulse.get_mut(contact), self.presses.get_mut(contact)) {
-                put(all, impulse, lane);
+                write_lane(all, impulse, lane);
                 if !std::mem::replace(presses, true) {
                     state.pressing.push(contact as u32);
                 }
             }
         }
-        put(&mut state.bound_impulse, bounds, lane);
+        write_lane(&mut state.bound_impulse, bounds, lane);
     }
 
     /// The first of the lanes' rows whose new state is not finite or beyond the limits.
@@ -165,18 +165,18 @@ impl<L: Lanes> Pack<L> {
     pub(super) fn write_row<R: RobotRows>(&self, rows: &mut R, row: usize, lane: usize) {
         let state = &self.state;
         rows.write_motion(row, state, lane);
-        get(&self.memory, rows.memory_mut(row), lane);
+        read_lane(&self.memory, rows.memory_mut(row), lane);
         let (contacts, bounds) = rows.impulses_mut(row);
         contacts.clear();
         for &contact in &state.pressing {
             let mut impulse = [R::Number::zero(); 3];
-            get(&state.impulse[contact as usize], &mut impulse, lane);
+            read_lane(&state.impulse[contact as usize], &mut impulse, lane);
             // write the contacts of this lane alone
             if impulse.iter().any(|x| x.lane(0) != 0.0) {
                 contacts.push(ContactImpulse { contact, impulse });
             }
         }
-        get(&state.bound_impulse, bounds, lane);
+        read_lane(&state.bound_impulse, bounds, lane);
         rows.write_report(row, &self.report, &self.feet, &self.touching, lane);
     }
 }

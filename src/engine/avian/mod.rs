@@ -23,7 +23,7 @@ use bevy_ecs::prelude::{Component, Entity, World};
 use bevy_math::{Mat3, Vec3};
 use glam::{DMat3, DQuat, DVec3};
 
-use super::Kind;
+use super::MorphologySetup;
 use crate::dynamics::math::{Mat3 as Rows3, Spatial, mul_vec_transposed, quat_to_mat};
 use crate::dynamics::{JointMotion, LinkForce, Parameters, Plane, Scalar, State, Topology, Workspace};
 use crate::obstacles::Part;
@@ -61,7 +61,7 @@ pub(crate) struct Settings {
     pub(crate) ground: Option<Plane>,
 }
 
-/// Robots of one kind, one in each env.
+/// Robots of one morphology, one in each env.
 struct Worlds {
     topology: Topology,
     chunks: Vec<Chunk>,
@@ -102,16 +102,16 @@ struct Env {
 }
 
 impl Worlds {
-    /// The robots of a kind in up to `num_chunks` worlds, each among the same `statics`; `nominal`
-    /// are their numbers.
+    /// The robots of a morphology in up to `num_chunks` worlds, each among the same `statics`;
+    /// `nominal` are their numbers.
     pub(crate) fn new<T>(
-        kind: &Kind<T>,
+        setup: &MorphologySetup<T>,
         nominal: &Parameters<f64>,
         settings: &Settings,
         statics: &[Part],
         num_chunks: usize,
     ) -> Result<Self, EngineError> {
-        let &Kind { model, topology, count: num_envs, .. } = kind;
+        let &MorphologySetup { model, topology, count: num_envs, .. } = setup;
         if let Some(j) = topology.joints.iter().position(|joint| joint.motion == JointMotion::Prismatic) {
             return Err(EngineError::Prismatic(model.joints[j].name.clone()));
         }
@@ -122,11 +122,11 @@ impl Worlds {
         if h < Duration::from_micros(1) {
             return Err(EngineError::Step(substep));
         }
-        let colliders = shapes::colliders(model, kind.align, topology.floating);
+        let colliders = shapes::colliders(model, setup.align, topology.floating);
         // a base that cannot move has no colliders
         let place = |shape: usize| colliders.iter().position(|collider| collider.shape == shape);
         let self_pairs: Vec<[usize; 2]> =
-            kind.shape_pairs.iter().filter_map(|&[a, b]| Some([place(a)?, place(b)?])).collect();
+            setup.shape_pairs.iter().filter_map(|&[a, b]| Some([place(a)?, place(b)?])).collect();
         let per_chunk = num_envs.div_ceil(num_chunks.max(1)).max(1);
         let mut engine = Self { topology: topology.clone(), chunks: Vec::new(), per_chunk };
         for first in (0..num_envs).step_by(per_chunk) {

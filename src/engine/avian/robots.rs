@@ -7,12 +7,12 @@
 use glam::DVec2;
 
 use super::super::{
-    DivergenceRecord, Kind, RobotRows, RowEngine, RowFamily, Run, StateLimits, clear_drive, get, history_length, put,
+    DivergenceRecord, MorphologySetup, RobotRows, RowEngine, RowFamily, Run, StateLimits, clear_drive, history_length,
     state_numbers,
 };
 use super::{EngineError, Env, Settings, Worlds};
 use crate::blocks::BlockList;
-use crate::dynamics::lanes::Real;
+use crate::dynamics::lanes::{Real, read_lane, write_lane};
 use crate::dynamics::{
     ActuatorNetwork, Drive, NetworkStep, Parameters, Report, Scalar, State, StepSettings, Topology, Workspace,
 };
@@ -61,14 +61,14 @@ impl AvianRobots {
         settings: &StepSettings,
         substeps: usize,
         statics: &[Part],
-        kinds: &[Kind<T>],
+        setups: &[MorphologySetup<T>],
         workers: &Workers,
     ) -> Result<Self, EngineError> {
         let mut first_env = 0;
         let mut blocks = Vec::new();
-        for kind in kinds {
-            blocks.push(Block::new(kind, settings, substeps, statics, first_env, workers.num_chunks())?);
-            first_env += kind.count;
+        for setup in setups {
+            blocks.push(Block::new(setup, settings, substeps, statics, first_env, workers.num_chunks())?);
+            first_env += setup.count;
         }
         Ok(Self { blocks })
     }
@@ -125,7 +125,7 @@ impl<F: RowFamily> RowEngine<F> for AvianRobots {
         report.joint_effort.copy_from_slice(&env.effort);
         report.body_force.copy_from_slice(&env.force);
         rows.write_motion(0, &env.state, 0);
-        get(&block.memories[row], rows.memory_mut(0), 0);
+        read_lane(&block.memories[row], rows.memory_mut(0), 0);
         rows.write_report(0, &report, &block.feet, &block.others, 0);
     }
 
@@ -134,7 +134,7 @@ impl<F: RowFamily> RowEngine<F> for AvianRobots {
         let block = &mut self.blocks[block];
         rows.read_motion(0, &mut block.state, 0);
         rows.read_report(0, &mut block.report, 0);
-        put(&mut block.memories[row], rows.memory(0), 0);
+        write_lane(&mut block.memories[row], rows.memory(0), 0);
         block.worlds.set_state(row, &block.state);
         let env = block.worlds.env_mut(row);
         env.effort.copy_from_slice(&block.report.joint_effort);
@@ -174,34 +174,34 @@ impl<F: RowFamily> RowEngine<F> for AvianRobots {
 
 impl Block {
     fn new<T: Real>(
-        kind: &Kind<T>,
+        setup: &MorphologySetup<T>,
         settings: &StepSettings,
         substeps: usize,
         statics: &[Part],
         first_env: usize,
         chunks: usize,
     ) -> Result<Self, EngineError> {
-        let topology = kind.topology.clone();
-        let nominal = Parameters::from_scalars(&topology, kind.nominal);
+        let topology = setup.topology.clone();
+        let nominal = Parameters::from_scalars(&topology, setup.nominal);
         let &StepSettings { dt, decimation, gravity, .. } = settings;
         let of_worlds = Settings { dt, substeps, gravity, ground: settings.contact.ground };
-        let (count, ages) = (kind.count, history_length(kind.max_delay, decimation));
+        let (count, ages) = (setup.count, history_length(setup.max_delay, decimation));
         Ok(Self {
             first_env,
             count,
-            worlds: Worlds::new(kind, &nominal, &of_worlds, statics, chunks)?,
+            worlds: Worlds::new(setup, &nominal, &of_worlds, statics, chunks)?,
             explicit: topology.joints.iter().map(|joint| joint.explicit).collect(),
             work: Workspace::new(&topology),
             report: Report::zeros(&topology, decimation),
             state: State::zeros(&topology),
             drives: vec![Drive::zeros(&topology, ages); count],
-            networks: kind.networks.to_vec(),
-            memories: vec![vec![0.0; ActuatorNetwork::num_remembered_by(kind.networks)]; count],
+            networks: setup.networks.to_vec(),
+            memories: vec![vec![0.0; ActuatorNetwork::num_remembered_by(setup.networks)]; count],
             features: Vec::new(),
             settings: *settings,
             before: vec![0.0; count * topology.num_joints()],
-            feet: kind.feet.to_vec(),
-            others: (0..topology.num_bodies).filter(|body| !kind.feet.contains(body)).collect(),
+            feet: setup.feet.to_vec(),
+            others: (0..topology.num_bodies).filter(|body| !setup.feet.contains(body)).collect(),
             normal: vec![0.0; count * decimation * topology.num_bodies],
             decimation,
             topology,
@@ -212,7 +212,7 @@ impl Block {
     /// Sets the robots whose rows differ from the engine's state.
     fn gather<R: RobotRows>(&mut self, rows: &R) {
         for row in 0..self.count {
-            put(&mut self.memories[row], rows.memory(row), 0);
+            write_lane(&mut self.memories[row], rows.memory(row), 0);
             rows.read_motion(row, &mut self.state, 0);
             let (Env { state: ours, origin: at, .. }, theirs) = (self.worlds.env(row), &self.state);
             let origin = DVec2::from_array(rows.origin(row).map(f64::from)).extend(0.0);
@@ -320,11 +320,10 @@ impl Block {
         for row in 0..self.count {
             let (Env { state, parameters, effort, force, .. }, report) = (self.worlds.env(row), &mut self.report);
             rows.write_motion(row, state, 0);
-            get(&self.memories[row], rows.memory_mut(row), 0);
-            report.joint_effort.copy_from_slice(effort);
+            read_lane(&self.memories[row], rows.memory_mut(row), 0);
             let before = &self.before[row * joints..(row + 1) * joints];
-            for ((to, new), old) in report.joint_acceleration.iter_mut().zip(&state.joint_velocity).zip(before) {
-                *to = (new - old) / self.dt;
+            for (joint, &effort) in effort.iter().enumerate() {
+                report.set_joint(joint, effort, [before[joint], state.joint_velocity[joint]], self.dt);
             }
             report.body_force.copy_from_slice(force);
             for (step, normal) in report.normal_force.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! One of Avian's worlds: robots of one kind as rigid bodies on a plane.
+//! One of Avian's worlds: robots of one morphology as rigid bodies on a plane.
 //!
 //! Robots touch the ground, obstacles and themselves only. Every robot is in the frame of its env,
 //! at the same place as all others. There is no broad phase: each collider forms a permanent pair
@@ -191,9 +191,9 @@ fn spawn(world: &mut World, contents: Contents) -> Bodies {
     for _ in 0..robots {
         let first = bodies.links.len();
         for link in 0..links {
-            let kind = if link == 0 && !floating { RigidBody::Kinematic } else { RigidBody::Dynamic };
+            let body = if link == 0 && !floating { RigidBody::Kinematic } else { RigidBody::Dynamic };
             let entity = world.spawn((
-                kind,
+                body,
                 Position(Vec3::ZERO),
                 Rotation::IDENTITY,
                 LinearVelocity::ZERO,
