@@ -89,7 +89,8 @@ def check_inside(folder: Path, archive: str) -> None:
         folder: the folder that the archive is unpacked in, without links above it.
         archive: the archive's name.
     """
-    bases, folders, names = {folder}, {""}, set()
+    bases, folders = {folder}, {""}
+    names: set[str] = set()
     for file in _texts(folder):
         bases.add(file.parent)
         for key, *values in _NAMED.findall(file.read_bytes()):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
-from polypod.add import child, compiling_child
+from polypod.add import child
 from polypod.add.description import Array, listed
 from polypod.extras import package
 
@@ -170,7 +170,7 @@ def check(file: Path, root: str | None = None) -> None:
     path = [str(Path(entry).absolute()) for entry in sys.path]
     request = {"file": str(place), "root": root, "path": path, "seconds": SECONDS}
     try:
-        problem = child.ask(compiling_child.__file__, request, SECONDS)
+        problem = child.ask(str(Path(__file__).with_name("compiling_child.py")), request, SECONDS)
     except child.UnansweredError as error:
         raise _core.ConfigError(f"{file}: MuJoCo {error}; correct or simplify the file") from None
     if problem is not None:

@@ -54,8 +54,8 @@ def _rotors(made: Compiled) -> dict[int, float]:
     of_tendons = getattr(model, "tendon_armature", None)
     total = np.zeros(model.ntendon) if of_tendons is None else np.array(of_tendons, dtype=np.float64)
     of_actuators = getattr(model, "actuator_armature", None)
-    for index in range(model.nu if of_actuators is not None else 0):
-        if int(model.actuator_trntype[index]) == int(mujoco().mjtTrn.mjTRN_TENDON):
+    for index in range(model.nu):
+        if of_actuators is not None and int(model.actuator_trntype[index]) == int(mujoco().mjtTrn.mjTRN_TENDON):
             gear = float(model.actuator_gear[index][0])
             total[int(model.actuator_trnid[index][0])] += float(of_actuators[index]) * gear**2
     return {int(tendon): float(total[tendon]) for tendon in np.flatnonzero(total)}

@@ -216,7 +216,7 @@ class _Reference:
         on_spatial = on_tendons.copy()
         on_spatial[on_tendons] = spatial[model.actuator_trnid[on_tendons, 0]]
 
-        def own(tendons: Array, actuators: Array) -> Array:
+        def own(tendons: Any, actuators: Any) -> Array:
             for name, chosen in (("tendon_armature", tendons), ("actuator_armature", actuators)):
                 if hasattr(model, name):
                     getattr(model, name)[chosen] = 0.0
