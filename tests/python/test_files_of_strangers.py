@@ -68,7 +68,7 @@ def test_files_at_which_mujoco_ends_or_hangs_are_refused(tmp_path, monkeypatch):
     bomb = '<replicate count="100000"><body><freejoint/><geom size="1"/></body></replicate>'
     file.write_text(fox(world=bomb, key=HOME))
     monkeypatch.setattr(compiling, "SECONDS", 3)
-    with pytest.raises(_core.ConfigError, match=r"fox\.xml: MuJoCo takes more than 3 s of computing; correct or simp"):
+    with pytest.raises(_core.ConfigError, match=r"fox\.xml: MuJoCo takes more than (3 s of computing|30 s); correct"):
         add(str(file), tmp_path / "mine")
     assert not (tmp_path / "mine").exists()
 
@@ -79,7 +79,7 @@ def test_a_process_that_waits_for_others_has_its_time(tmp_path):
     script.write_text("import time\ntime.sleep(1.5)\nprint('[1]')")
     assert child.ask(str(script), None, 1) == [1]
     script.write_text("import resource\nresource.setrlimit(resource.RLIMIT_CPU, (1, 9))\nwhile True:\n    pass")
-    with pytest.raises(child.UnansweredError, match="takes more than 1 s of computing"):
+    with pytest.raises(child.UnansweredError, match="takes more than (1 s of computing|10 s)"):
         child.ask(str(script), None, 1)
     script.write_text("raise SystemExit(3)")
     with pytest.raises(child.UnansweredError, match=r"ends at it \(exit code 3\)"):
