@@ -36,6 +36,7 @@ from polypod.commands.sweep import SweepOf
 from polypod.commands.terms import Terms
 from polypod.commands.terrain import Terrain
 from polypod.commands.train import Train
+from polypod.text import plain
 
 Command = (
     Annotated[Train, tyro.conf.subcommand("train")]
@@ -217,4 +218,4 @@ def _with_bare_flags(arguments: Sequence[str]) -> list[str]:
 def _one_line(error: Exception) -> str:
     """The message of `error`; KeyError among its bases would put it in quotes."""
     text = error.args[0] if error.args and isinstance(error.args[0], str) else str(error)
-    return " ".join(text.split())
+    return plain(text)

@@ -391,7 +391,7 @@ def test_files_that_take_too_long_or_end_mujoco_are_refused(tmp_path, monkeypatc
     bomb = '<replicate count="100000"><body><freejoint/><geom size="1"/></body></replicate>'
     file = written(tmp_path, f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
     monkeypatch.setattr(mjcf, "MAX_SECONDS", 2)
-    with pytest.raises(ValueError, match="MuJoCo takes more than 2 s to compile it"):
+    with pytest.raises(ValueError, match=r"MuJoCo takes more than (2 s of computing|20 s)"):
         mjcf.check(file)
     for place, message in ((Path("/dev/zero"), "not a regular file"), (tmp_path / "none.xml", "No such file")):
         with pytest.raises(ValueError, match=message):

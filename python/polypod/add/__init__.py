@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from polypod import _core, new_robot
-from polypod.add import description, judge, kept, mjcf, sources, urdf
-from polypod.add.compiling import Compiled, compiled
+from polypod.add import compiling, description, judge, kept, mjcf, sources, urdf
+from polypod.add.compiling import Compiled
 from polypod.add.description import Description
 from polypod.add.toml import Slots, refined
 from polypod.add.xacro import expand
 from polypod.compat import tomllib
 from polypod.files import new_folder, real_path, write_bytes, write_text
+from polypod.text import plain
 from polypod.vector_env import make
 
 _LIMIT = re.compile(r"\[actuators\]: the URDF(.*?),? for ([^;]+); (.*) follow from (.*): write the motor's")
@@ -112,19 +113,21 @@ def add(
             raise _unwritable(out, error) from error
         held = {**(read.described.held if read.described else {}), **(locked_joints or {})}
         try:
-            with new_folder(out) as staged, _named_after(found.file, staged, given, read.missing):
+            with new_folder(out) as staged, _named_after(found.file, staged, given, read):
                 made, notes, errors = _write(staged, given, read, found, held, feet or {}, joint_roles or {}, progress)
         except OSError as error:
             raise _unwritable(out, error) from error
         made = dataclasses.replace(made, path=config, notes=[])
+        notes = [plain(note.replace(str(staged), str(out))) for note in notes]
         return Added(made, source, notes, errors, found.license is not None, time.perf_counter() - began)
 
 
 @contextlib.contextmanager
-def _named_after(file: Path, staged: Path, name: str, missing: str | None) -> Iterator[None]:
+def _named_after(file: Path, staged: Path, name: str, read: _Found) -> Iterator[None]:
     """Lets errors name the user's file in the place of the one that is being written.
 
-    Errors of a robot without a foot's shape also name the meshes that are missing.
+    Errors of a robot without a foot's shape also name the meshes that are missing, and errors about
+    its legs the joints that are locked.
     """
     try:
         yield
@@ -135,8 +138,10 @@ def _named_after(file: Path, staged: Path, name: str, missing: str | None) -> It
             staged / "configs" / "robots" / f"{name}.toml",
         ):
             text = text.replace(str(written), str(file))
-        if missing is not None and "collision shape" in text:
-            text = f"{text}; {missing}"
+        if read.missing is not None and "collision shape" in text:
+            text = f"{text}; {read.missing}"
+        if "legs were found" in text:
+            text = "; ".join([text, *(note for note in read.notes if note.endswith(": locked"))])
         raise type(error)(text.replace("of robot new", "of polypod add")) from error
 
 
@@ -165,7 +170,8 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
-        made = compiled(found.file, root)
+        compiling.check(found.file, root)
+        made = compiling.compiled(found.file, root)
         reader = mjcf.Reader(made)
         described = reader.description()
         model = kept.text(reader)
@@ -185,8 +191,8 @@ def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], 
     text = "" if found.kind == "xacro" else urdf.read(found.file)
     # many files with macros have the ending of a URDF
     if found.kind == "xacro" or re.search(r"<xacro:\w", text):
-        text = expand(found.file, dirs, {**found.arguments, **arguments})
-    copy = urdf.copied(text, found.file, dirs)
+        text = expand(found.file, dirs, {**found.arguments, **arguments}, found.within)
+    copy = urdf.copied(text, found.file, dirs, found.within)
     stem = found.file.name.partition(".")[0]
     return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text, missing=copy.missing)
 

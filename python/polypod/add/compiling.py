@@ -4,9 +4,11 @@ MuJoCo itself reads the file. It resolves defaults, classes, frames, replicas, i
 attachments.
 """
 
+import contextlib
 import dataclasses
 import functools
 import re
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,11 +17,28 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
+from polypod.add import child
 from polypod.add.description import Array, listed
 from polypod.extras import package
 
 POSES = ("home", "stand", "standing", "default", "init", "initial")
 """Keyframes that a robot stands in, the first one that is there; else the file's first."""
+SECONDS = 60
+"""Computing time that MuJoCo may take to compile a file."""
+LARGEST = 1e15
+"""Largest number that is read: squares and products of such numbers are finite."""
+_NUMBERED = {
+    "body": ("mass", "pos", "quat", "ipos", "iquat", "inertia", "gravcomp"),
+    "jnt": ("pos", "axis", "stiffness"),
+    "geom": ("pos", "quat", "size", "friction", "margin", "gap"),
+    "site": ("pos", "quat"),
+    "eq": ("data",),
+    "actuator": ("gear", "gainprm", "biasprm", "forcerange", "ctrlrange", "armature", "damping"),
+    "key": ("qpos",),
+}
+"""Numbers of a model by sort of element; each element has a name."""
+_KINDS = {"jnt": "JOINT", "eq": "EQUALITY"}
+_ELEMENTS = {"jnt": "joint", "eq": "equality"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +134,7 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
     mj = mujoco()
     notes: list[str] = []
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with _warned() as said:
             spec = mj.MjSpec.from_file(str(file))
             _without_pictures(spec)
             _without_ground(mj, spec, notes)
@@ -126,15 +144,100 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
             base = _base(mj, spec, file, root)
             _float(mj, spec, base, file, notes)
             model = spec.compile()
+            model.names.decode("utf-8")
     except _core.PolypodError:
         raise
-    except (ValueError, mj.FatalError) as error:
+    except UnicodeDecodeError as error:
+        raise _core.ConfigError(f"{file}: a name in it is not text in UTF-8; save the file in UTF-8") from error
+    except (ValueError, RuntimeError, mj.FatalError) as error:
         text = " ".join(str(error).split())
         raise _core.ConfigError(f"{file}: MuJoCo does not compile it: {text}; correct the file") from error
-    for key in range(model.nkey):
-        if not np.isfinite(model.key_qpos[key]).all():
-            raise _core.ConfigError(f"{file}: <key> {key}: qpos has a number that is not finite; correct the keyframe")
-    return Compiled(model, base.id, _name_of(spec.modelname, file), notes, spec)
+    made = Compiled(model, base.id, _name_of(spec.modelname, file), notes, spec)
+    _check_numbers(made, file)
+    if any("NaN" in text for text in said):
+        raise _core.ConfigError(f"{file}: a number in it is NaN, which MuJoCo takes as absent; write the number")
+    return made
+
+
+def check(file: Path, root: str | None = None) -> None:
+    """Lets another process compile an MJCF file first, within bounds of time and memory.
+
+    Raises ConfigError where `compiled` would, and for a file at which MuJoCo hangs, ends or takes
+    too much memory.
+    """
+    mujoco()
+    place = file.absolute()
+    path = [str(Path(entry).absolute()) for entry in sys.path]
+    request = {"file": str(place), "root": root, "path": path, "seconds": SECONDS}
+    try:
+        problem = child.ask(str(Path(__file__).with_name("compiling_child.py")), request, SECONDS)
+    except child.UnansweredError as error:
+        raise _core.ConfigError(f"{file}: MuJoCo {error}; correct or simplify the file") from None
+    if problem is not None:
+        folder = "" if file.parent == Path() else f"{file.parent}/"
+        raise _core.ConfigError(str(problem).replace(str(place), str(file)).replace(f"{place.parent}/", folder))
+
+
+@contextlib.contextmanager
+def _warned() -> Iterator[list[str]]:
+    """Collects the warnings of MuJoCo, which writes them into a file of the user's folder else."""
+    said: list[str] = []
+    before = mujoco().get_mju_user_warning()
+    mujoco().set_mju_user_warning(said.append)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield said
+    finally:
+        mujoco().set_mju_user_warning(before)
+
+
+def _check_numbers(made: Compiled, file: Path) -> None:
+    """Raises ConfigError for a number that is not finite, or too large to compute with."""
+    model = made.model
+    for sort, names in _NUMBERED.items():
+        for name in names:
+            numbers = getattr(model, f"{sort}_{name}", None)
+            if numbers is None or not len(numbers):
+                continue
+            rows = np.asarray(numbers, dtype=np.float64).reshape(len(numbers), -1)
+            wrong = np.flatnonzero(~(np.abs(rows) <= LARGEST).all(axis=1))
+            if wrong.size:
+                raise _number(file, _element(made, sort, int(wrong[0])), name)
+    moved = ("damping", "armature", "frictionloss")
+    for joint in range(model.njnt):
+        v = int(model.jnt_dofadr[joint])
+        for name in moved:
+            if not abs(float(getattr(model, f"dof_{name}")[v])) <= LARGEST:
+                raise _number(file, f"joint {made.named('JOINT', joint) or joint}", name)
+        lower, upper = (float(bound) for bound in model.jnt_range[joint])
+        if not (np.isfinite(lower) and np.isfinite(upper)):
+            raise _number(file, f"joint {made.named('JOINT', joint) or joint}", "range")
+    for name in ("qpos0", "qpos_spring"):
+        if not (np.abs(getattr(model, name)) <= LARGEST).all():
+            raise _number(file, "<joint>", "ref" if name == "qpos0" else "springref")
+    if not np.isfinite(model.opt.gravity).all():
+        raise _number(file, "<option>", "gravity")
+
+
+def _element(made: Compiled, sort: str, index: int) -> str:
+    """An element of a file: by name, or by number and what it belongs to."""
+    element = _ELEMENTS.get(sort, sort)
+    name = made.named(_KINDS.get(sort, sort.upper()), index)
+    if name:
+        return f"{element} {name}"
+    owner = ""
+    if sort in ("geom", "site", "jnt"):
+        owner = f" of body {made.named('BODY', int(getattr(made.model, f'{sort}_bodyid')[index]))}"
+    elif sort == "actuator" and 0 <= int(made.model.actuator_trnid[index][0]) < made.model.njnt:
+        owner = f" at joint {made.named('JOINT', int(made.model.actuator_trnid[index][0]))}"
+    return f"{element} {index}{owner}"
+
+
+def _number(file: Path, element: str, name: str) -> _core.ConfigError:
+    return _core.ConfigError(
+        f"{file}: {element}: {name} has a number that is not finite, or beyond {LARGEST:g}; correct it"
+    )
 
 
 def _name_of(model: str, file: Path) -> str:
@@ -221,8 +324,8 @@ def _children(body: Any) -> Iterator[Any]:
 
 def _below(body: Any) -> Iterator[Any]:
     yield body
-    for child in _children(body):
-        yield from _below(child)
+    for each in _children(body):
+        yield from _below(each)
 
 
 def _base(mj: Any, spec: Any, file: Path, root: str | None) -> Any:

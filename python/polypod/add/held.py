@@ -25,7 +25,7 @@ def held_in(
     """
     mj, model = mujoco(), made.model
     held: dict[int, float] = {}
-    tied, loops, tendons = [], [], []
+    tied, free, loops, tendons = [], [], [], []
     moved: set[int] = set()
     for index in range(model.neq):
         if not model.eq_active0[index]:
@@ -34,7 +34,14 @@ def held_in(
         name = made.named("EQUALITY", index) or f"equality_{index}"
         if kind == int(mj.mjtEq.mjEQ_JOINT):
             joint, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-            if joint in names and made.moves(joint):
+            ends = [end for end in (joint, other) if end in names and made.moves(end)]
+            if len(ends) == 2 and all(end in drives for end in ends):
+                free.append(f"{names[joint]} and {names[other]}")
+            elif joint in drives and len(ends) == 2:
+                # the joint that is driven moves on; the other one would follow it
+                held[other] = float(home[model.jnt_qposadr[other]])
+                tied.append(names[other])
+            elif joint in ends:
                 held[joint] = _tied(made, index, joint, other, home)
                 tied.append(names[joint])
         elif kind == int(mj.mjtEq.mjEQ_TENDON):
@@ -44,6 +51,8 @@ def held_in(
             moved |= _around(made, index)
     if tied:
         notes.append(f"joint {listed(tied)}: tied by an equality constraint: locked")
+    if free:
+        notes.append(f"joint {listed(free)}: tied by an equality constraint, both with actuators: the tie is left out")
     if loops:
         still = [names[joint] for joint in sorted(moved) if joint in names and joint not in drives]
         driven = f"; joint {listed(still)}, which it moves, does not follow it" if drives and still else ""

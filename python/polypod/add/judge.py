@@ -183,11 +183,11 @@ class _Reference:
         model.opt.tolerance, model.opt.iterations = 0.0, 200
         model.opt.solver = int(self.mj.mjtSolver.mjSOL_NEWTON)
         model.body_gravcomp[:] = 0.0
+        model.dof_armature[:] += self._without_tendons_armature()
         for name in (
             "tendon_stiffness",
             "tendon_damping",
             "tendon_frictionloss",
-            "tendon_armature",
             "dof_dampingpoly",
             "jnt_stiffnesspoly",
         ):
@@ -203,6 +203,35 @@ class _Reference:
         held[self.v] = False
         self._held = held
         self._armature = np.array(model.dof_armature)
+
+    def _without_tendons_armature(self) -> Array:
+        """Takes the armature of tendons off the model.
+
+        Returns what fixed tendons have added to the mass matrix of each coordinate itself.
+        """
+        model, data = self.model, self.mj.MjData(self.model)
+        joint, tendon = int(self.mj.mjtWrap.mjWRAP_JOINT), int(self.mj.mjtTrn.mjTRN_TENDON)
+        spatial = np.array([int(model.wrap_type[at]) != joint for at in model.tendon_adr], dtype=np.bool_)
+        on_tendons = np.asarray(model.actuator_trntype) == tendon
+        on_spatial = on_tendons.copy()
+        on_spatial[on_tendons] = spatial[model.actuator_trnid[on_tendons, 0]]
+
+        def own(tendons: Any, actuators: Any) -> Array:
+            for name, chosen in (("tendon_armature", tendons), ("actuator_armature", actuators)):
+                if hasattr(model, name):
+                    getattr(model, name)[chosen] = 0.0
+            self.mj.mj_forward(model, data)
+            full = np.zeros((model.nv, model.nv))
+            for column, unit in zip(full, np.eye(model.nv), strict=True):
+                self.mj.mj_mulM(model, data, column, unit)
+            return np.diagonal(full).copy()
+
+        if not model.ntendon:
+            return np.zeros(model.nv)
+        added: Array = own(spatial, on_spatial) - own(np.ones_like(spatial), on_tendons)
+        if hasattr(model, "actuator_damping"):
+            model.actuator_damping[on_tendons] = 0.0
+        return np.maximum(added, 0.0)
 
     def limits(self, ours: Array, narrowed: Sequence[Sequence[float]]) -> float:
         """Largest difference of the joints' limits from the file's, as the config narrows them."""

@@ -27,6 +27,7 @@ from typing import Literal
 
 import numpy as np
 
+from polypod.add import geared
 from polypod.add.actuators import actuators_of, drives_of, of_actuator
 from polypod.add.compiling import Compiled, compiled, matrix, mujoco
 from polypod.add.description import Array, Description, Drive, Joint, Link, listed, of_point
@@ -67,6 +68,7 @@ class Reader:
         self.link_of: dict[int, tuple[str, Array]] = {}
         """Link that carries what hangs on a body, and its origin in the body's frame, m; after
         `description`."""
+        self._geared = geared.shares(made)
         self.data = mujoco().MjData(self.model)
         self.key, self.home = made.home()
         self.data.qpos[:] = self.home
@@ -82,7 +84,7 @@ class Reader:
         if springs:
             self.notes.append(f"joint {listed(springs)}: a spring pulls it: left out, as it is locked")
         links = self._links(drives)
-        self.notes += left_out(self.made, self._ellipsoids)
+        self.notes += [*geared.notes(self.made), *left_out(self.made, self._ellipsoids)]
         moving = [link.joint for link in links if link.joint is not None and link.joint.name not in held]
         light = [joint.name for joint in moving if not joint.armature]
         if light:
@@ -166,7 +168,7 @@ class Reader:
         kind: Literal["revolute", "continuous", "prismatic"] = "revolute" if np.isfinite(lower) else "continuous"
         if int(model.jnt_type[joint]) == int(mujoco().mjtJoint.mjJNT_SLIDE):
             kind = "prismatic"
-        armature = float(model.dof_armature[v])
+        armature = float(model.dof_armature[v]) + self._geared.get(joint, 0.0)
         for index in actuators_of(made, joint):
             armature += of_actuator(made, "actuator_armature", index)
         return Joint(

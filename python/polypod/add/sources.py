@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from polypod import _core
 from polypod.add import archive
-from polypod.files import read_bytes
+from polypod.files import read_bytes, real_path
 
 SNIFFED = 1 << 16
 """Bytes in which the root element of a file stands."""
@@ -49,6 +49,8 @@ class Source:
     """Arguments of a xacro file."""
     package_dirs: Mapping[str, Path] = dataclasses.field(default_factory=dict)
     """ROS package -> folder."""
+    within: Path | None = None
+    """Folder of an unpacked archive, beyond which nothing is read; None: it is no archive."""
 
 
 @contextlib.contextmanager
@@ -76,8 +78,17 @@ def opened(source: str, inner: str | None = None) -> Iterator[Source]:
     elif path.suffix.lower() == ".zip":
         _check_is_there(path)
         with tempfile.TemporaryDirectory(prefix="polypod-add-") as folder:
-            archive.unpack(path, Path(folder))
-            yield _in_folder(Path(folder), source, inner)
+            place = real_path(folder)
+            archive.unpack(path, place)
+            try:
+                found = _in_folder(place, source, inner)
+                if found.kind == "mjcf":
+                    archive.check_inside(place, source)
+                yield dataclasses.replace(found, within=place)
+            except _core.PolypodError as error:
+                # names of files in the folder are those in the archive to the user
+                text = str(error.args[0] if error.args else error)
+                raise type(error)(text.replace(f"{place}{os.sep}", f"{source}/")) from error
     else:
         _check_is_there(path)
         if inner is not None:

@@ -19,6 +19,8 @@ from polypod.files import read_bytes, real_path
 
 MOST_MESH = 256 << 20
 """Bytes of a mesh."""
+MESHES = (".stl", ".obj", ".dae")
+"""Endings of meshes; no other file is copied."""
 MOST_MESHES = 1 << 30
 """Bytes of all meshes of a robot."""
 MOST_PACKAGE = 1 << 20
@@ -51,22 +53,26 @@ def read(file: Path) -> str:
     return text
 
 
-def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
+def copied(text: str, file: Path, package_dirs: Mapping[str, Path], within: Path | None = None) -> Copy:
     """Makes the copy of a URDF that a library holds.
 
     Args:
         text: the URDF's.
         file: the file that its relative mesh names are relative to.
         package_dirs: ROS package -> folder.
+        within: folder of an archive, beyond which only those of `package_dirs` are read; None: it
+            is in no archive.
 
     Raises:
-        ConfigError: for what is no XML or has a document type, and for meshes that are too large.
+        ConfigError: for what is no XML or has a document type, and for meshes that are too large or
+            outside of the archive.
     """
     root = _parsed(text, file)
     meshes: dict[str, bytes] = {}
     names: dict[Path, str] = {}
     shown = sum(len(link.findall("visual")) for link in root.iter("link"))
     missing: list[str] = []
+    odd: list[str] = []
     for link in root.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
@@ -75,6 +81,15 @@ def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
             if place is None:
                 missing.append(mesh.get("filename", ""))
                 continue
+            if place.suffix.lower() not in MESHES:
+                odd.append(mesh.get("filename", ""))
+                mesh.set("filename", f"meshes/{_new_name(place, meshes)}")
+                continue
+            if within is not None and not any(place.is_relative_to(each) for each in (within, *package_dirs.values())):
+                raise _core.ConfigError(
+                    f"{file}: link {link.get('name')}: mesh {mesh.get('filename', '')[:200]} leads out of the archive; "
+                    "unpack what you need, and name the folder"
+                )
             if place not in names:
                 names[place] = _new_name(place, meshes)
                 meshes[names[place]] = read_bytes(place, MOST_MESH)
@@ -88,6 +103,9 @@ def copied(text: str, file: Path, package_dirs: Mapping[str, Path]) -> Copy:
     lost = _lost(missing)
     if lost is not None:
         notes.append(lost)
+    if odd:
+        names_of = listed([name[:200] for name in dict.fromkeys(odd)])
+        notes.append(f"collision mesh {names_of}: is none of {', '.join(MESHES)}: left out; write it as one of them")
     ElementTree.indent(root)
     return Copy(
         '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n",

@@ -207,7 +207,8 @@ def _within_bounds() -> None:
         return
     for kind, most in (("RLIMIT_AS", MEMORY), ("RLIMIT_CPU", SECONDS), ("RLIMIT_FSIZE", 0), ("RLIMIT_CORE", 0)):
         if hasattr(resource, kind):
-            resource.setrlimit(getattr(resource, kind), (most, most))
+            # the hard limit of computing time ends a process without a word
+            resource.setrlimit(getattr(resource, kind), (most, most + (kind == "RLIMIT_CPU")))
 
 
 def _opening(roots: list[Path]) -> Callable[..., io.TextIOWrapper]:

@@ -10,16 +10,14 @@ import importlib
 import json
 import os
 import stat
-import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 MAX_BYTES = 64 << 20
 """Largest size of a file, bytes."""
 MAX_SECONDS = 60
-"""Time that MuJoCo may take to compile the file."""
+"""Computing time that MuJoCo may take to compile the file."""
 MAX_MEMORY = 8 << 30
 """Bytes of address space that it may take for it."""
 
@@ -65,17 +63,14 @@ def check(path: Path) -> None:
         raise ValueError("it is not a regular file")
     if state.st_size > MAX_BYTES:
         raise ValueError(f"it has more than {MAX_BYTES >> 20} MiB")
-    command = [sys.executable, "-I", __file__, os.fspath(path.resolve())]
-    # MuJoCo writes a log into the folder that it runs in
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=MAX_SECONDS, cwd=folder, check=False)
-        except subprocess.TimeoutExpired as error:
-            raise ValueError(f"MuJoCo takes more than {MAX_SECONDS} s to compile it") from error
+    # the process runs this file, which imports nothing of polypod by itself
+    from polypod.add import child
+
+    request = {"path": os.fspath(path.resolve()), "seconds": MAX_SECONDS}
     try:
-        problem = json.loads(done.stdout.splitlines()[-1])
-    except (IndexError, ValueError):
-        raise ValueError(f"MuJoCo ends at it (exit code {done.returncode})") from None
+        problem = child.ask(__file__, request, MAX_SECONDS)
+    except child.UnansweredError as error:
+        raise ValueError(f"MuJoCo {error}") from None
     if problem is not None:
         raise ValueError(str(problem))
 
@@ -136,8 +131,9 @@ def _is_there(spec: Any, folder: str, file: str) -> bool:
     return (Path(spec.modelfiledir) / folder / name).is_file()
 
 
-def _main(path: str) -> None:
-    """Prints what is wrong with a file as JSON; null if nothing is."""
+def _main() -> None:
+    """Prints what is wrong with the file of the request as JSON; null if nothing is."""
+    request = json.loads(sys.stdin.read())
     try:
         import resource
     except ImportError:  # on systems without it
@@ -146,11 +142,14 @@ def _main(path: str) -> None:
         _, hard = resource.getrlimit(resource.RLIMIT_AS)
         most = MAX_MEMORY if hard == resource.RLIM_INFINITY else min(MAX_MEMORY, hard)
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        _, hard = resource.getrlimit(resource.RLIMIT_CPU)
+        seconds = request["seconds"] if hard == resource.RLIM_INFINITY else min(request["seconds"], hard)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, hard))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     problem = None
     try:
         mj = importlib.import_module("mujoco")
-        model = read(path).spec.compile()
+        model = read(request["path"]).spec.compile()
         data = mj.MjData(model)
         mj.mj_forward(model, data)
     except Exception as error:
@@ -159,4 +158,4 @@ def _main(path: str) -> None:
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1])
+    _main()
