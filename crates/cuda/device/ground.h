@@ -1,8 +1,9 @@
-/* Contacts with the ground's plane: crates/dynamics/src/ground.rs, ground_contacts.rs, gaps.rs and
+/* Contacts with the ground: crates/dynamics/src/ground.rs, ground_contacts.rs, gaps.rs and
  * spin_rows.rs. */
 #ifndef POLYPOD_GROUND_H
 #define POLYPOD_GROUND_H
 #include "rows.h"
+#include "terrain.h"
 
 /* Largest gap that may close in a step, m. */
 FN float reach_in_step(const Robot *a, float least, float now, float free) {
@@ -40,7 +41,7 @@ FN void candidate_point(const Robot *a, int contact, const float *up, float *o) 
 }
 
 /* Torsional and rolling friction of the contact that was added last. */
-FN void add_spin(Robot *a, int contact, const float *frame) {
+CALLED void add_spin(Robot *a, int contact, const float *frame) {
     int i = a->num_spins, spin = SPIN(i), path = ROW_PATH(a->num_contacts - 1);
     float product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     for (int d = 0; d < 3; d++) {
@@ -64,7 +65,7 @@ FN void add_spin(Robot *a, int contact, const float *frame) {
  * would have without constraints, in base axes about its origin. */
 FN void build_ground_contacts(Robot *a, const float *free_base) {
     float margin = TC(GROUND_MARGIN), inverse_dt = 1.0f / TC(DT), position[3], frame[9];
-    a->num_contacts = a->num_spins = a->num_ground = 0;
+    a->num_contacts = a->num_spins = 0;
     a->violation = 0.0f;
     /* the base's inertia is composite: the whole robot's */
     a->compliance = 1.0f / W(T(W_DYNAMICS) + DYNAMICS_INERTIA);
@@ -81,36 +82,58 @@ FN void build_ground_contacts(Robot *a, const float *free_base) {
         float origin_height = ground + dot(frame, x);
         mul_vec_transposed(r, frame, up);
         p_load(a, T(P_LINK_BOX) + 6 * link, 6, box);
+        float highest = margin;
+        if (T(HAS_GRID)) {
+            float place[3];
+            mul_vec(r, box, place);
+            add(x, place, place);
+            world_place(frame, position, place, place);
+            float bound = terrain_bound(a, 0, place[0], place[1], sqrtf(dot(box + 3, box + 3)) + margin);
+            highest = margin + bound - TC(PLANE_OFFSET);
+        }
         float below = fma_(box[3], fabsf(up[0]), fma_(box[4], fabsf(up[1]), box[5] * fabsf(up[2])));
-        if (!(origin_height + dot(up, box) - below < margin)) continue;
+        if (!(origin_height + dot(up, box) - below < highest)) continue;
         for (int c = first; c < end; c++) {
             float radius = P(T(P_CONTACT_RADIUS) + c), local[3], centre[3];
             float reach = radius + P(T(P_CONTACT_RIM) + c);
             p_load(a, T(P_CONTACT_POSITION) + 3 * c, 3, local);
-            if (!(origin_height + dot(up, local) - reach < margin)) continue;
+            if (!(origin_height + dot(up, local) - reach < highest)) continue;
             candidate_point(a, c, up, local);
             float gap = origin_height + dot(up, local) - radius;
-            if (!(gap < margin)) continue;
+            if (!(gap < highest)) continue;
+            float surface[9];
+            const float *axes = frame;
             mul_vec(r, local, centre);
             add(x, centre, centre);
+            if (T(HAS_GRID)) {
+                float place[3];
+                world_place(frame, position, centre, place);
+                float bound = terrain_bound(a, 1, place[0], place[1], radius + margin);
+                if (!(gap < margin + bound - TC(PLANE_OFFSET))) continue;
+                gap = on_terrain(a, frame, place, radius, surface);
+                if (!(gap < margin)) continue;
+                axes = surface;
+            }
             float motion[6], v[3], moving[6];
             w_load(a, LINK(link) + LINK_VELOCITY, 6, motion);
             /* link velocities leave the base's linear velocity out */
             for (int k = 0; k < 6; k++) moving[k] = motion[k] + (k < 3 ? 0.0f : a->velocity_base[k]);
             at_point(moving, centre, v);
-            float now = dot(frame, v);
+            float now = dot(axes, v);
             w_load(a, LINK(link) + LINK_FREE, 6, motion);
             for (int k = 0; k < 6; k++) moving[k] = motion[k] + free_base[k];
             at_point(moving, centre, v);
-            float free = dot(frame, v);
+            float free = dot(axes, v);
             if (!(gap < min_(reach_in_step(a, TC(GROUND_REACH), now, free), margin))) continue;
             int i = a->num_contacts, row = ROW(i);
             float point[3];
-            scale(frame, radius, point);
+            scale(axes, radius, point);
             sub(centre, point, point);
             ROW_CONTACT(i) = c;
             ROW_PATH(i) = link;
-            set_directions(a, row, point, frame);
+            ROW_PAIR(i) = -1;
+            set_directions(a, row, point, axes);
+            w_store(a, row + ROW_FRAME, 9, axes);
             build_rows(a, link, row, ROW_PARTS(i));
             finish_rows(a, TC(GROUND_COMPLIANCE));
             float bounce = NO_TARGET, restitution = P(T(P_RESTITUTION));
@@ -121,9 +144,8 @@ FN void build_ground_contacts(Robot *a, const float *free_base) {
                 if (bounces) bounce = -(approach * restitution);
             }
             add_contact(a, separation(a, gap, inverse_dt), bounce, T(S_IMPULSE) + 3 * c);
-            if (T(FRICTION)) add_spin(a, c, frame);
+            if (T(FRICTION)) add_spin(a, c, axes);
         }
     }
-    a->num_ground = a->num_contacts;
 }
 #endif

@@ -47,7 +47,7 @@ FN void place_base(Robot *a, const float *velocity) {
 }
 
 /* Position, axis and velocity of the link that a joint moves, after those of its parent. */
-FN void place_link(Robot *a, int j) {
+CALLED void place_link(Robot *a, int j) {
     int parent = T(T(T_JOINT) + j * JOINT_SIZE), from = LINK(parent), to = LINK(j + 1);
     float r[9], x[3], axis[6], offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
     w_load(a, from, 9, r);
@@ -95,7 +95,7 @@ FN void free_links(Robot *a) {
 
 /* Inertia about the base's origin, and the force that motion and gravity ask for, by Newton's and
  * Euler's equations about the centre of mass. */
-FN void link_dynamics(Robot *a, int at, float mass, const float *com, const float *inertia, const float *velocity,
+CALLED void link_dynamics(Robot *a, int at, float mass, const float *com, const float *inertia, const float *velocity,
                       const float *acceleration) {
     float spatial[10], of_com[3], lin[3], ang[3], t[3];
     spatial_inertia(mass, com, inertia, spatial);

@@ -7,11 +7,14 @@
 
 #ifdef __CUDACC__
 #define FN static __device__ __forceinline__
+/* of parts that several others call: the text would be compiled many times over */
+#define CALLED static __device__ __noinline__
 #define KERNEL extern "C" __global__
 #else
 #include <math.h>
 #include <stddef.h>
 #define FN static inline
+#define CALLED static
 #endif
 
 /* joints of a block */
@@ -102,7 +105,7 @@ FN void integrate_quat(float *q, const float *w) {
     set3(q + 1, im[0] * inverse, im[1] * inverse, im[2] * inverse);
 }
 /* sine and cosine of crates/lanes/src/elementary.rs */
-FN void sin_cos(float x, float *sine, float *cosine) {
+CALLED void sin_cos(float x, float *sine, float *cosine) {
     float quadrant = rintf(x * (float)0.63661977236758134308);
     float r = nfma(quadrant, (float)1.5703125, x);
     r = nfma(quadrant, (float)4.837512969970703e-4, r);

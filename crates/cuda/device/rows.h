@@ -10,7 +10,7 @@
 /* The first block of a path, 0 if there is none. */
 FN int first_block(const Robot *a, int path) { return PATH_PARTS(path) > 0 ? T(PART(path, 0)) : 0; }
 
-FN void velocities(const Robot *a, int row, int further, int path, int units, const float *y_base, int joints,
+CALLED void velocities(const Robot *a, int row, int further, int path, int units, const float *y_base, int joints,
                    float *w) {
     int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
     float even[3], odd[3], base[18];
@@ -33,7 +33,7 @@ FN void velocities(const Robot *a, int row, int further, int path, int units, co
     }
 }
 
-FN void apply_rows(Robot *a, int row, int further, int path, int units, const float *impulse, float *y_base,
+CALLED void apply_rows(Robot *a, int row, int further, int path, int units, const float *impulse, float *y_base,
                    int joints) {
     int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
     for (int r = 0; r < 6; r++) {
@@ -66,7 +66,7 @@ FN float dot6_onto(const float *a, const float *b, float c) {
 }
 
 /* Products of the rows 0 0, 1 1, 2 2, 0 1, 0 2, 1 2. */
-FN void products(const Robot *a, int row, int further, int path, int units, float *out) {
+CALLED void products(const Robot *a, int row, int further, int path, int units, float *out) {
     float product[6] = {0}, x[9], base[18];
     w_load(a, row + ROW_OWN, 9, x);
     for (int s = 0; s < BLOCK; s++) {
@@ -99,7 +99,7 @@ FN void products(const Robot *a, int row, int further, int path, int units, floa
     out[5] = dot6_onto(base + 6, base + 12, product[5]);
 }
 
-FN float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
+CALLED float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
     int y = joints + 3 * first_block(a, path);
     float base[6], w = W(row + ROW_OWN) * W(y);
     w = fma_(W(row + ROW_OWN + 6), W(y + 2), fma_(W(row + ROW_OWN + 3), W(y + 1), w));
@@ -112,7 +112,7 @@ FN float first_velocity(const Robot *a, int row, int further, int path, const fl
     return dot6_onto(base, y_base, w);
 }
 
-FN void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
+CALLED void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
     int y = joints + 3 * first_block(a, path);
     for (int r = 0; r < 6; r++) y_base[r] = fma_(W(row + r), impulse, y_base[r]);
     for (int s = 0; s < BLOCK; s++) W(y + s) = fma_(W(row + ROW_OWN + 3 * s), impulse, W(y + s));
@@ -124,7 +124,7 @@ FN void apply_first(Robot *a, int row, int further, int path, float impulse, flo
 }
 
 /* Eliminates a block's joints among themselves. */
-FN void eliminate_inner(Robot *a, int b, int x) {
+CALLED void eliminate_inner(Robot *a, int b, int x) {
     int inner = FACTOR(b) + FACTOR_INNER;
     float l10 = W(inner), l20 = W(inner + 1), l21 = W(inner + 2);
     for (int d = 0; d < 3; d++) {
@@ -135,7 +135,7 @@ FN void eliminate_inner(Robot *a, int b, int x) {
 }
 
 /* Change of the parts that carry a block by the elimination of its joints, whose rows are `x`. */
-FN void pass_on(Robot *a, int part, const float *x, int further) {
+CALLED void pass_on(Robot *a, int part, const float *x, int further) {
     int first = T(BLOCK_AT(T(part)) + 6);
     for (int c = 0; c < T(part + 2); c++) {
         int on = further + 9 * (T(T(part + 3) + c) - 1);
@@ -172,7 +172,7 @@ FN void scale_rows(Robot *a, int b, int x) {
 }
 
 /* Change of the base's part by the elimination of the joints; D^-1/2 of the blocks after the first. */
-FN void solve_base(Robot *a, int row, int further, int path, int with_first) {
+CALLED void solve_base(Robot *a, int row, int further, int path, int with_first) {
     int parts = PATH_PARTS(path);
     if (T(FLOATING)) {
         for (int d = 0; d < 3; d++) {
@@ -188,7 +188,7 @@ FN void solve_base(Robot *a, int row, int further, int path, int with_first) {
 }
 
 /* H^-T J^T in place. */
-FN void half_solve_rows(Robot *a, int row, int further, int path) {
+CALLED void half_solve_rows(Robot *a, int row, int further, int path) {
     int parts = PATH_PARTS(path);
     if (parts == 0) {
         solve_base(a, row, further, path, 0);
@@ -251,7 +251,7 @@ FN void joint_rows(Robot *a, int part, int directions, int out) {
 }
 
 /* Z of three rows that act on a link; their base parts hold the directions. */
-FN void build_rows(Robot *a, int path, int row, int further) {
+CALLED void build_rows(Robot *a, int path, int row, int further) {
     int parts = PATH_PARTS(path);
     for (int p = 0; p < parts; p++)
         joint_rows(a, PART(path, p), row, p == 0 ? row + ROW_OWN : further + 9 * (p - 1));
@@ -276,6 +276,7 @@ FN void set_directions(Robot *a, int row, const float *point, const float *frame
 #define ROW_PARTS(i) (T(W_FURTHER) + (i) * 9 * T(STRIDE))
 #define ROW_CONTACT(i) I(T(I_ROW) + ROW_INTEGERS * (i))
 #define ROW_PATH(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 1)
+#define ROW_PAIR(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 2)
 #define SPIN(i) (T(W_SPIN) + (i) * SPIN_SIZE)
 #define SPIN_PARTS(i) (T(W_SPIN_FURTHER) + (i) * 9 * T(STRIDE))
 #define BOUND(b) (T(W_BOUND) + (b) * BOUND_SIZE)
@@ -285,7 +286,7 @@ FN void set_directions(Robot *a, int row, const float *point, const float *frame
 #define BOUND_PATH(b) (T(BLOCK_AT(b) + T(BLOCK_AT(b) + 3) - 1) + 1)
 
 /* Couplings of the rows about to be added. */
-FN void finish_rows(Robot *a, float compliance) {
+CALLED void finish_rows(Robot *a, float compliance) {
     int i = a->num_contacts, row = ROW(i);
     float product[6], softness = a->compliance * compliance, least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     products(a, row, ROW_PARTS(i), ROW_PATH(i), 0, product);

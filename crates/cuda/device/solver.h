@@ -129,7 +129,7 @@ FN void sweep_bounds(Robot *a) {
 }
 
 /* One sweep over joint limits alone. Returns the largest change of a velocity. */
-FN float sweep_limits(Robot *a, int pushing, float *y, int joints) {
+CALLED float sweep_limits(Robot *a, int pushing, float *y, int joints) {
     float most = 0.0f;
     for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_LIMITS(b)) continue;
@@ -147,7 +147,7 @@ FN float sweep_limits(Robot *a, int pushing, float *y, int joints) {
 }
 
 /* Sweeps over joint limits alone until none changes a velocity. */
-FN void settle_limits(Robot *a, int pushing, float *y, int joints) {
+CALLED void settle_limits(Robot *a, int pushing, float *y, int joints) {
     for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
         if (!(TC(LIMIT_TOLERANCE) < sweep_limits(a, pushing, y, joints))) break;
 }
@@ -163,7 +163,7 @@ FN void sliding_friction(const Robot *a, int contact, float *friction) {
 }
 
 /* Impulses along the tangents of a point that slides: against its velocity, in a disc. */
-FN void sliding(float mass, float w1, float w2, float i1, float i2, float bound, float *s) {
+CALLED void sliding(float mass, float w1, float w2, float i1, float i2, float bound, float *s) {
     float s1 = nfma(w1, mass, i1), s2 = nfma(w2, mass, i2);
     float square = fma_(s1, s1, fma_(s2, s2, (float)1e-20));
     float shrink = min_(bound / square * sqrtf(square), 1.0f);

@@ -9,6 +9,7 @@ typedef struct {
     const float *parameters;
     float *state;
     const float *drive;
+    const float *grid;
     float *report;
     int *touched;
     float *work;
@@ -28,6 +29,7 @@ FN void step_robot(const Block *block, size_t e) {
     a->ps = block->shared ? 1 : a->n;
     a->s = block->state + e;
     a->d = block->drive + e;
+    a->grid = block->grid;
     a->r = block->report + e;
     a->ri = block->touched + e;
     a->w = block->work + e;
@@ -44,7 +46,4 @@ KERNEL void polypod_control_step(Block block) {
 void polypod_control_step(const Block *block) {
     for (int e = 0; e < block->robots; e++) step_robot(block, (size_t)e);
 }
-/* for the test that compares the layouts of both languages */
-int polypod_layout_integers(void) { return NUM_INTEGERS; }
-int polypod_layout_numbers(void) { return NUM_NUMBERS; }
 #endif

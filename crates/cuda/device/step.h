@@ -2,6 +2,7 @@
 #ifndef POLYPOD_STEP_H
 #define POLYPOD_STEP_H
 #include "kinematics.h"
+#include "pairs.h"
 #include "solver.h"
 
 /* Selects the position target that each actuator sees: the one from `delay` physics steps ago. */
@@ -144,6 +145,18 @@ FN void find_free_velocity(Robot *a, float *free_base) {
     free_links(a);
 }
 
+/* Contact bodies of a contact: one on the ground, two of a pair. Returns their number. */
+FN int contact_bodies(const Robot *a, int i, int *bodies) {
+    int pair = ROW_PAIR(i);
+    if (pair < 0) {
+        bodies[0] = T(T(T_CONTACT) + ROW_CONTACT(i) * CONTACT_SIZE + 1);
+        return 1;
+    }
+    bodies[0] = T(T(T_PAIR) + pair * PAIR_SIZE + 2);
+    bodies[1] = T(T(T_PAIR) + pair * PAIR_SIZE + 3);
+    return 2;
+}
+
 /* Stores the impulses for the next warm start, and reports the contact forces. */
 FN void report_contacts(Robot *a, int substep, int last) {
     float inverse_dt = 1.0f / TC(DT), impulse[3];
@@ -157,12 +170,11 @@ FN void report_contacts(Robot *a, int substep, int last) {
     }
     for (int k = 0; k < 3 * (T(ROWS) + T(SPINS)); k++) S(T(S_IMPULSE) + k) = 0.0f;
     for (int i = 0; i < a->num_contacts; i++) {
-        int contact = ROW_CONTACT(i), bodies[2], num = 1;
+        int contact = ROW_CONTACT(i), bodies[2], num = contact_bodies(a, i, bodies);
         for (int d = 0; d < 3; d++) {
             impulse[d] = W(ROW(i) + ROW_IMPULSE + d) + 0.0f;
             S(T(S_IMPULSE) + 3 * contact + d) = impulse[d];
         }
-        bodies[0] = T(T(T_CONTACT) + contact * CONTACT_SIZE + 1);
         for (int k = 0; k < num; k++) {
             R(normal_force + bodies[k]) = fma_(impulse[0], inverse_dt, R(normal_force + bodies[k]));
             TOUCHED(bodies[k]) = 1;
@@ -175,15 +187,25 @@ FN void report_contacts(Robot *a, int substep, int last) {
     for (int k = 0; k < 3 * T(BODIES); k++) R(T(R_BODY_FORCE) + k) = 0.0f;
     for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) R(T(R_DEMANDS) + k) = 0.0f;
     for (int i = 0; i < a->num_contacts; i++) {
-        int body = T(T(T_CONTACT) + ROW_CONTACT(i) * CONTACT_SIZE + 1), at = T(R_BODY_FORCE) + 3 * body;
-        float f[3], sum[3];
+        int bodies[2], num = contact_bodies(a, i, bodies);
+        float f[3], sum[3], frame[9], axis[3];
         for (int d = 0; d < 3; d++) {
             f[d] = (W(ROW(i) + ROW_IMPULSE + d) + 0.0f) * inverse_dt;
-            sum[d] = R(at + d);
+            if (num == 2 || T(HAS_GRID)) {
+                w_load(a, ROW(i) + ROW_FRAME + 3 * d, 3, axis);
+                mul_vec(a->base_rotation, axis, frame + 3 * d);
+            } else {
+                copy(frame + 3 * d, a->c + PLANE + 3 * d, 3);
+            }
         }
-        for (int d = 0; d < 3; d++) add_scaled(sum, a->c + PLANE + 3 * d, f[d], sum);
-        for (int d = 0; d < 3; d++) R(at + d) = sum[d];
-        R(T(R_DEMANDS) + body) = 1.0f;
+        for (int k = 0; k < num; k++) {
+            int at = T(R_BODY_FORCE) + 3 * bodies[k];
+            if (k == 1) scale(f, -1.0f, f);
+            for (int d = 0; d < 3; d++) sum[d] = R(at + d);
+            for (int d = 0; d < 3; d++) add_scaled(sum, frame + 3 * d, f[d], sum);
+            for (int d = 0; d < 3; d++) R(at + d) = sum[d];
+            R(T(R_DEMANDS) + bodies[k]) = 1.0f;
+        }
     }
     for (int b = 0; b < T(BLOCKS); b++)
         if (BLOCK_LIMITS(b)) R(T(R_DEMANDS) + T(BODIES) + b) = 1.0f;
@@ -272,6 +294,7 @@ FN void physics_step(Robot *a, int substep) {
     factorise_step(a);
     find_free_velocity(a, free_base);
     build_ground_contacts(a, free_base);
+    build_pairs(a);
     copy(a->y, a->moved, 6);
     for (int k = 0; k < BLOCK * T(BLOCKS); k++) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
     build_joint_bounds(a);

@@ -9,11 +9,14 @@ enum Integer {
     FLOATING, JOINTS, BLOCKS, CONTACTS, ROWS, SPINS, BODIES, SITES, TREES, STRIDE, FRICTION, HAS_SURFACES,
     HAS_SPRINGS, HAS_DELAY, AGES, PAIRS, GROUPS, COLLIDERS, DECIMATION, ITERATIONS, MEASURES, CHECK_INTERVAL,
     MAX_EXTRA_ROUNDS, SWEEPS_PER_ROUND, LIMIT_SWEEPS, PUSH_SWEEPS, HAS_GROUND, LINK_FORCES,
+    /* the height grid: whether there is one, points along x and y; of links' and of candidates' squares
+     * the points along an edge, numbers along x and y, and where their heights begin */
+    HAS_GRID, GRID_SIZE, GRID_SQUARES = GRID_SIZE + 2, GRID_END = GRID_SQUARES + 7,
     /* lists of integers */
     T_JOINT, T_BLOCK, T_CARRIER, T_TREE, T_SLOT, T_PATH, T_CONTACT, T_LINK_CONTACTS, T_SITE, T_COLLIDER,
     T_LINK_COLLIDERS, T_PAIR, T_GROUP, T_FORCE,
     /* lists in the table of numbers */
-    C_AXIS, C_RIM, C_BOX, C_SIDE,
+    C_AXIS, C_RIM, C_BOX,
     /* columns of parameters */
     P_OFFSET, P_MASS, P_COM, P_INERTIA, P_STIFFNESS, P_DAMPING, P_EFFORT_LIMIT, P_SATURATION_EFFORT,
     P_MOTOR_VELOCITY_LIMIT, P_ARMATURE, P_JOINT_DAMPING, P_JOINT_FRICTION, P_SPRING, P_LOWER, P_UPPER,
@@ -22,7 +25,7 @@ enum Integer {
     P_DYNAMIC_FRICTION, P_RESTITUTION, P_TORSIONAL_FRICTION, P_ROLLING_FRICTION,
     /* columns of the state, the drive and the report */
     S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_IMPULSE, S_BOUND,
-    D_TARGET, D_DELAY, D_FEEDFORWARD, D_FORCE, D_TORQUE, D_LINK_FORCE,
+    D_TARGET, D_DELAY, D_FEEDFORWARD, D_FORCE, D_TORQUE, D_ORIGIN, D_LINK_FORCE,
     R_EFFORT, R_ACCELERATION, R_BODY_FORCE, R_NORMAL_FORCE, R_DEMANDS, R_SITE_POSITION, R_SITE_VELOCITY,
     /* columns of the workspace */
     W_LINK, W_DYNAMICS, W_BIAS, W_FACTOR, W_COUPLING, W_ROOT, W_RHS, W_EFFORT, W_SLOPE, W_TARGET, W_JOINTS, W_MOVED,
@@ -39,7 +42,8 @@ enum Number {
     VELOCITY_LIMIT_SHARE, GROUND_COMPLIANCE, PAIR_COMPLIANCE, MIN_TANGENT_COMPLIANCE, PENETRATION_SLOP,
     LIMIT_SLOP, MIN_CHANGE_SQUARED, SETTLED_CHANGE, DEEP_PUSH, SETTLED_CHANGE_DEEP, LEAST_BOUND, MOST_BOUND,
     MIN_FOLLOWING_RESPONSE, TURN_BACK_SHARE, LIMIT_TOLERANCE, PUSH_TOLERANCE, PLANE_OFFSET, PLANE,
-    NUM_NUMBERS = PLANE + 9
+    GRID_ORIGIN = PLANE + 9, GRID_CELL = GRID_ORIGIN + 2, GRID_INVERSE_CELL, GRID_HIGHEST,
+    NUM_NUMBERS
 };
 
 /* Sizes of the entries of lists. */
@@ -52,7 +56,8 @@ enum Size {
     CONTACT_SIZE = 3, /* link, body, whether it is on a rim */
     RIM_SIZE = 8,     /* two unit vectors, cosine and sine */
     COLLIDER_SIZE = 3, /* link, body, whether it is a box */
-    PAIR_SIZE = 7,    /* colliders (2), bodies (2), parts of the capsule, path, first impulse */
+    PAIR_SIZE = 8,    /* colliders (2), bodies (2), parts of the capsule, path, first impulse; of each
+                       * joint on the path which of the two it carries: first 2, second 0, both 1 */
     GROUP_SIZE = 4,   /* links (2), first pair, pairs */
     LINK_FORCE_SIZE = 10,
     LINK_SIZE = 30, LINK_POSITION = 9, LINK_VELOCITY = 12, LINK_FREE = 18, LINK_AXIS = 24,
@@ -62,7 +67,7 @@ enum Size {
     ROW_OWN = 18, ROW_COUPLING = 27, ROW_INVERSE = 30, ROW_ACROSS = 33, ROW_STICKING = 35, ROW_DIAGONAL = 38,
     ROW_SOFTNESS, ROW_SLIDE, ROW_TARGET, ROW_IMPULSE, ROW_LAST_CHANGE = ROW_IMPULSE + 3, ROW_PUSH,
     ROW_PUSH_IMPULSE, ROW_FRAME, ROW_SIZE = ROW_FRAME + 9,
-    ROW_INTEGERS = 2, /* contact, path */
+    ROW_INTEGERS = 3, /* contact, path; pair, or -1 on the ground */
     SPIN_ROLL = 33, SPIN_IMPULSE = 34, SPIN_SIZE = 37,
     BOUND_FRICTION = 30, BOUND_JOINT = 33, BOUND_JOINT_SIZE = 8, BOUND_SIZE = 57,
     BOUND_INTEGERS = 8, /* limits, active; of each joint limits, has friction */
@@ -78,6 +83,7 @@ typedef struct {
     size_t ps;
     float *s, *r, *w; /* state, report, workspace */
     const float *d;   /* drive */
+    const float *grid; /* heights [x][y], then the squares' largest heights */
     int *ri, *wi;     /* touched bodies; integers of the workspace */
     size_t n;         /* robots of the block */
     /* numbers of the present physics step that every part reads */
@@ -85,7 +91,7 @@ typedef struct {
     float g[36], root[12]; /* base block of the factor, and roots of its diagonal */
     float y[6], moved[6];  /* base's part of the sparse velocity */
     float violation, compliance;
-    int num_contacts, num_ground, num_spins;
+    int num_contacts, num_spins;
 } Robot;
 
 #define T(k) (a->t[k])

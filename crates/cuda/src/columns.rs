@@ -35,6 +35,8 @@ pub struct Parts<'a> {
     pub state: &'a mut [f32],
     /// Columns of the drive.
     pub drive: &'a [f32],
+    /// Heights of the ground; empty on a plane.
+    pub grid: &'a [f32],
     /// Columns of the report.
     pub report: &'a mut [f32],
     /// Whether each body has touched something, a column each.
@@ -134,11 +136,11 @@ impl Block {
         state.find_pressing();
     }
 
-    /// Writes a robot's drive. Its forces on links are those with the keys of the block's
+    /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its forces on links are those with the keys of the block's
     /// [`Scene`], in their order.
-    pub fn write_drive(&mut self, env: usize, drive: &Drive<f32>) {
+    pub fn write_drive(&mut self, env: usize, drive: &Drive<f32>, origin: [f32; 2]) {
         let targets = drive.targets.iter().flatten().chain(&drive.delay).chain(&drive.feedforward);
-        let base = drive.base_force.iter().chain(&drive.base_torque);
+        let base = drive.base_force.iter().chain(&drive.base_torque).chain(&origin);
         let forces = drive.link_forces.iter().flat_map(|force| {
             std::iter::once(&force.acts).chain(&force.point).chain(&force.force).chain(&force.torque)
         });
@@ -165,6 +167,7 @@ impl Block {
             parameters: &self.parameters,
             state: &mut self.state,
             drive: &self.drive,
+            grid: &self.tables.grid,
             report: &mut self.report,
             touched: &mut self.touched,
             work: &mut self.work,

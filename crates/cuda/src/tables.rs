@@ -2,20 +2,19 @@
 
 use polypod_dynamics::math::{add_scaled, cross, dot, scale};
 use polypod_dynamics::{
-    ActuatorNetwork, Axis, ContactFriction, ContactKind, HeightGrid, JointMotion, Plane, SWEEPS, StepSettings, Topology,
+    ActuatorNetwork, Axis, ContactFriction, ContactKind, HeightGrid, JointMotion, PairTopology, Plane, SWEEPS,
+    StepSettings, Topology,
 };
 
 use crate::layout::*;
 
+/// Edge lengths of the squares whose largest heights are known, m, for links and for contact
+/// candidates: `settings.rs` of polypod-dynamics.
+const HEIGHT_SQUARES: [f32; 2] = [0.5, 0.125];
+
 /// A feature that the text of the device does not have yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unsupported {
-    /// Ground of a height grid.
-    #[error("the device has no height grids yet; use the plane or the engine \"articulated\"")]
-    HeightGrid,
-    /// Contacts between a robot's own links.
-    #[error("the device has no contacts between links yet; switch them off or use the engine \"articulated\"")]
-    Pairs,
     /// Actuator networks.
     #[error("the device has no actuator networks yet; use another actuator or the engine \"articulated\"")]
     Networks,
@@ -27,7 +26,8 @@ pub enum Unsupported {
 /// What surrounds and drives the robots of a block beyond their topology.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Scene<'a> {
-    /// Ground that replaces the settings' plane.
+    /// Ground that replaces the settings' plane, which must be level then. Its
+    /// [`squares`](HeightGrid::note_squares) must be noted.
     pub terrain: Option<&'a HeightGrid>,
     /// Networks that drive joints.
     pub networks: &'a [ActuatorNetwork],
@@ -43,6 +43,8 @@ pub struct Scene<'a> {
 pub(crate) struct Tables {
     pub(crate) integers: Vec<i32>,
     pub(crate) numbers: Vec<f32>,
+    /// Heights of the grid, `[x][y]`, then the largest heights of its squares; empty on a plane.
+    pub(crate) grid: Vec<f32>,
     pub(crate) sizes: Sizes,
 }
 
@@ -79,12 +81,6 @@ impl Tables {
     /// A feature that the device lacks.
     pub(crate) fn new(topology: &Topology, settings: &StepSettings, scene: &Scene) -> Result<Self, Unsupported> {
         let Scene { terrain, networks, link_forces, .. } = *scene;
-        if terrain.is_some() {
-            return Err(Unsupported::HeightGrid);
-        }
-        if !topology.pairs.is_empty() {
-            return Err(Unsupported::Pairs);
-        }
         if !networks.is_empty() {
             return Err(Unsupported::Networks);
         }
@@ -93,10 +89,11 @@ impl Tables {
         let stride = lists.topology(topology, link_forces, &mut header);
         sizes_and_settings(topology, settings, scene, stride, &mut header);
         write_settings(settings, &mut lists.numbers[..NUM_NUMBERS]);
+        let grid = terrain.map_or(Vec::new(), |grid| write_grid(grid, &mut header, &mut lists.numbers));
         let sizes = place_columns(topology, settings, scene, stride, &mut header);
         let integers = header.into_iter().chain(lists.integers).map(i32::try_from).collect::<Result<_, _>>();
         let integers = integers.map_err(|_| Unsupported::TooLarge)?;
-        Ok(Self { integers, numbers: lists.numbers, sizes })
+        Ok(Self { integers, numbers: lists.numbers, grid, sizes })
     }
 }
 
@@ -116,6 +113,7 @@ impl Lists {
         self.joints(topology, header);
         self.blocks(topology, header);
         let longest = self.paths(topology, header);
+        self.colliders(topology, header);
         header[C_RIM] = self.numbers.len();
         header[T_CONTACT] = self.here();
         for contact in &topology.contacts {
@@ -211,16 +209,14 @@ impl Lists {
         self.integers.extend(slots);
     }
 
-    /// Paths of the links to the base. Returns the number of parts of the longest.
+    /// Paths of the links to the base, then those of the pairs of links. Returns the number of parts
+    /// of the longest.
     fn paths(&mut self, topology: &Topology, header: &mut [usize]) -> usize {
         let blocks = topology.blocks();
-        let mut paths = vec![Vec::new(); topology.num_links()];
-        for (b, block) in blocks.iter().enumerate() {
-            for place in 0..block.len {
-                let carriers = block.carriers.iter().map(|carrier| (carrier.block, carrier.count));
-                paths[block.joints[place] + 1] = std::iter::once((b, place + 1)).chain(carriers).collect();
-            }
-        }
+        let mut paths = paths_of_links(topology);
+        let of_pairs: Vec<_> =
+            topology.pairs.iter().map(|pair| path_of_both(&paths, links_of(topology, pair))).collect();
+        paths.extend(of_pairs);
         let mut starts = Vec::new();
         for path in &paths {
             // the places in the path of the carriers of each of its blocks
@@ -238,6 +234,125 @@ impl Lists {
         self.integers.extend(starts);
         paths.iter().map(Vec::len).max().unwrap_or(0)
     }
+
+    /// Colliders and the pairs of them that may touch.
+    fn colliders(&mut self, topology: &Topology, header: &mut [usize]) {
+        header[C_BOX] = self.numbers.len();
+        header[T_COLLIDER] = self.here();
+        for collider in &topology.colliders {
+            self.integers.extend([collider.link, collider.body, usize::from(collider.box_rotation.is_some())]);
+            let rotation = collider.box_rotation.unwrap_or_default();
+            self.numbers.extend(rotation.as_flattened().iter().map(|&x| x as f32));
+        }
+        let mut starts = Vec::new();
+        for link in 0..topology.num_links() {
+            let all = topology.colliders.iter().enumerate();
+            let of_link: Vec<usize> = all.filter(|(_, c)| c.link == link).map(|(place, _)| place).collect();
+            starts.extend([of_link.len(), self.here()]);
+            self.integers.extend(of_link);
+        }
+        header[T_LINK_COLLIDERS] = self.here();
+        self.integers.extend(starts);
+        let paths = paths_of_links(topology);
+        let carries = |path: &[(usize, usize)], block: usize, place: usize| {
+            path.iter().any(|&(other, count)| other == block && place < count)
+        };
+        let (mut first_impulse, mut pairs) = (topology.contacts.len(), Vec::new());
+        for (number, pair) in topology.pairs.iter().enumerate() {
+            let [first, second] = links_of(topology, pair);
+            let bodies = pair.colliders.map(|c| topology.colliders[c].body);
+            pairs.extend(pair.colliders.iter().chain(&bodies));
+            let parts = pair.spans.len();
+            pairs.extend([parts, topology.num_links() + number, first_impulse, self.here()]);
+            first_impulse += parts;
+            for (block, _) in path_of_both(&paths, [first, second]) {
+                // which of the two a joint carries: 1 the first alone, -1 the second alone, 0 both; counted from 1, as
+                // the table holds no sign
+                for place in 0..3 {
+                    let side = usize::from(carries(&paths[first], block, place)) + 1;
+                    self.integers.push(side - usize::from(carries(&paths[second], block, place)));
+                }
+            }
+        }
+        header[PAIRS] = topology.pairs.len();
+        header[T_PAIR] = self.here();
+        self.integers.extend(pairs);
+        let mut groups: Vec<[usize; 4]> = Vec::new();
+        for (number, pair) in topology.pairs.iter().enumerate() {
+            let [first, second] = links_of(topology, pair);
+            match groups.last_mut() {
+                Some([a, b, _, count]) if [*a, *b] == [first, second] => *count += 1,
+                _ => groups.push([first, second, number, 1]),
+            }
+        }
+        (header[GROUPS], header[COLLIDERS]) = (groups.len(), topology.colliders.len());
+        header[T_GROUP] = self.here();
+        self.integers.extend(groups.iter().flatten());
+    }
+}
+
+/// Links of a pair of colliders.
+fn links_of(topology: &Topology, pair: &PairTopology) -> [usize; 2] {
+    pair.colliders.map(|c| topology.colliders[c].link)
+}
+
+/// Blocks that carry each link, the nearest first, with the number of their joints that do.
+fn paths_of_links(topology: &Topology) -> Vec<Vec<(usize, usize)>> {
+    let mut paths = vec![Vec::new(); topology.num_links()];
+    for (b, block) in topology.blocks().iter().enumerate() {
+        for place in 0..block.len {
+            let carriers = block.carriers.iter().map(|carrier| (carrier.block, carrier.count));
+            paths[block.joints[place] + 1] = std::iter::once((b, place + 1)).chain(carriers).collect();
+        }
+    }
+    paths
+}
+
+/// Blocks that carry one of two links or both, each before those that carry it.
+fn path_of_both(paths: &[Vec<(usize, usize)>], links: [usize; 2]) -> Vec<(usize, usize)> {
+    let mut path: Vec<(usize, usize)> = links.iter().flat_map(|&link| &paths[link]).copied().collect();
+    // the larger count of a block that both paths have
+    path.sort_unstable_by_key(|&part| std::cmp::Reverse(part));
+    path.dedup_by_key(|part| part.0);
+    path
+}
+
+/// Writes a height grid to the tables. Returns its heights and the largest heights of its squares.
+fn write_grid(grid: &HeightGrid, header: &mut [usize], numbers: &mut [f32]) -> Vec<f32> {
+    let [rows, columns] = grid.size;
+    let mut heights = grid.heights();
+    header[HAS_GRID] = 1;
+    (header[GRID_SIZE], header[GRID_SIZE + 1]) = (rows, columns);
+    for (number, value) in [
+        (GRID_ORIGIN, grid.origin[0]),
+        (GRID_ORIGIN + 1, grid.origin[1]),
+        (GRID_CELL, grid.cell),
+        (GRID_INVERSE_CELL, (1.0 / f64::from(grid.cell)) as f32),
+        (GRID_HIGHEST, grid.highest),
+    ] {
+        numbers[number] = value;
+    }
+    for (near, edge) in HEIGHT_SQUARES.into_iter().enumerate() {
+        let stride = ((edge / grid.cell).round() as usize).max(1);
+        let num = [rows.div_ceil(stride), columns.div_ceil(stride)];
+        let mut own = vec![f32::MIN; num[0] * num[1]];
+        for i in 0..rows {
+            for j in 0..columns {
+                let most = &mut own[i / stride * num[1] + j / stride];
+                *most = most.max(heights[i * columns + j]);
+            }
+        }
+        let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
+        let at = GRID_SQUARES + 4 * near;
+        header[at..at + 4].copy_from_slice(&[stride, num[0], num[1], heights.len()]);
+        for i in 0..num[0] {
+            for j in 0..num[1] {
+                let squares = around(i, num[0]).flat_map(|i| around(j, num[1]).map(move |j| (i, j)));
+                heights.push(squares.map(|(i, j)| own[i * num[1] + j]).fold(f32::MIN, f32::max));
+            }
+        }
+    }
+    heights
 }
 
 /// Writes sizes and whole settings to the header.
@@ -421,6 +536,7 @@ fn place_columns(
         (D_FEEDFORWARD, joints),
         (D_FORCE, 3),
         (D_TORQUE, 3),
+        (D_ORIGIN, 2),
         (D_LINK_FORCE, LINK_FORCE_SIZE * scene.link_forces.len()),
     ]);
     let report = columns(&[

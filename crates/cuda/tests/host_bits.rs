@@ -4,11 +4,11 @@
 
 use polypod::config::Library;
 use polypod::dynamics::{
-    ContactFriction, ContactSettings, ControlStep, Drive, LinkForce, Parameters, Plane, Report, State, StepSettings,
-    Topology, Workspace,
+    ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
+    NetworkProgram, Parameters, Plane, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
 use polypod::{Sim, SimOptions};
-use polypod_cuda::{Block, Scene};
+use polypod_cuda::{Block, Scene, Unsupported};
 
 /// Robots of a block.
 const ENVS: usize = 3;
@@ -30,24 +30,24 @@ struct Robot {
     nominal: Parameters<f32>,
 }
 
-fn library() -> Vec<Robot> {
+/// All morphologies; `touching`: with contacts between the links of every robot.
+fn library(touching: bool) -> Vec<Robot> {
     let library = Library::new(Vec::new());
     let names: Vec<String> = library.robots().unwrap().iter().map(|robot| robot.name.clone()).collect();
     assert!(names.len() >= 25, "the library has {} robots", names.len());
     let options = SimOptions {
         robots: Some(names.clone()),
         threads: Some(1),
+        overrides: names.iter().map(|name| format!("robot_overrides.{name}.self_collisions={touching}")).collect(),
         ..SimOptions::new("velocity_flat_legged_play", names.len())
     };
     let sim = Sim::new(&options).unwrap();
     let morphologies = sim.morphologies().iter().zip(names);
     morphologies
-        .map(|(morphology, name)| {
-            let mut topology = morphology.topology.clone();
-            // links of one robot do not touch each other on the device yet
-            let colliders = topology.colliders.clone();
-            topology.set_pairs(colliders, &[]);
-            Robot { name, topology, nominal: morphology.nominal.clone() }
+        .map(|(morphology, name)| Robot {
+            name,
+            topology: morphology.topology.clone(),
+            nominal: morphology.nominal.clone(),
         })
         .collect()
 }
@@ -119,14 +119,21 @@ struct Met {
     contacts: usize,
     limits: usize,
     pushes: usize,
+    pairs: usize,
 }
 
 /// Steps the robots of a morphology on both sides and compares them after each physics step. The
 /// last robot of the block reads parameters of its own.
-fn compare(robot: &Robot, contact: ContactSettings, link_forces: &[(usize, bool)], steps: usize) -> Met {
+fn compare(
+    robot: &Robot,
+    contact: ContactSettings,
+    terrain: Option<&HeightGrid>,
+    link_forces: &[(usize, bool)],
+    steps: usize,
+) -> Met {
     let Robot { name, topology, nominal } = robot;
     let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact };
-    let scene = Scene { ages: 2, link_forces, ..Scene::default() };
+    let scene = Scene { terrain, ages: 2, link_forces, ..Scene::default() };
     let mut random = Random(name.bytes().map(u64::from).sum());
     let mut block = Block::new(topology, &settings, &scene, ENVS).unwrap();
     block.share_parameters(nominal);
@@ -139,14 +146,18 @@ fn compare(robot: &Robot, contact: ContactSettings, link_forces: &[(usize, bool)
         drive.link_forces = link_forces.iter().map(|&key| LinkForce::zero(key)).collect();
     }
     let mut reports = vec![Report::zeros(topology, settings.decimation); ENVS];
-    let mut work = Workspace::new(topology);
+    // a workspace remembers the base's colliders from one physics step to the next
+    let mut work = vec![Workspace::new(topology); ENVS];
+    let origins: Vec<[f32; 2]> = (0..ENVS).map(|_| [random.next(), random.next()]).collect();
     let mut met = Met::default();
+    let num_parts: usize = topology.pairs.iter().map(|pair| pair.spans.len()).sum();
+    let of_pairs = topology.contacts.len()..topology.contacts.len() + num_parts;
     states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
     let (mut state, mut report) = (State::zeros(topology), Report::zeros(topology, settings.decimation));
     for step in 0..steps {
         for env in 0..ENVS {
             randomise_drive(robot, &mut drives[env], &mut random);
-            block.write_drive(env, &drives[env]);
+            block.write_drive(env, &drives[env], origins[env]);
         }
         for substep in 0..settings.decimation {
             assert!(block.step_on_host(substep..substep + 1));
@@ -154,16 +165,18 @@ fn compare(robot: &Robot, contact: ContactSettings, link_forces: &[(usize, bool)
                 ControlStep {
                     topology,
                     settings: &settings,
-                    terrain: None,
+                    terrain: terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
                     parameters: &parameters[env],
                     kind: None,
                     drive: &drives[env],
                     substeps: substep..substep + 1,
                     state: &mut states[env],
                     report: &mut reports[env],
-                    work: &mut work,
+                    work: &mut work[env],
                 }
                 .run();
+                let pressing = |contact: &&u32| of_pairs.contains(&(**contact as usize));
+                met.pairs += states[env].pressing.iter().filter(pressing).count();
                 block.read_state(env, &mut state);
                 block.read_report(env, &mut report);
                 let pairs = named_bits(&states[env], &reports[env]).into_iter().zip(named_bits(&state, &report));
@@ -193,30 +206,32 @@ fn compare(robot: &Robot, contact: ContactSettings, link_forces: &[(usize, bool)
 
 #[test]
 fn of_all_robots_on_a_plane() {
-    let mut limits = 0;
-    for robot in library() {
-        let met = compare(&robot, ContactSettings::default(), &[], 100);
-        assert!(met.contacts > 50 && met.pushes > 10, "{}: {met:?}", robot.name);
-        limits += usize::from(met.limits > 10);
+    let (mut limits, mut pairs) = (0, 0);
+    for robot in library(true) {
+        let met = compare(&robot, ContactSettings::default(), None, &[], 50);
+        assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
+        limits += usize::from(met.limits > 0);
+        pairs += usize::from(met.pairs > 0);
     }
     assert!(limits > 15, "only {limits} robots were at joint limits");
+    assert!(pairs > 15, "links of only {pairs} robots touched each other");
 }
 
 #[test]
 fn on_ground_that_resists_turning_and_gives_back_what_falls() {
-    for (index, mut robot) in library().into_iter().enumerate() {
+    for (index, mut robot) in library(false).into_iter().enumerate() {
         robot.topology.friction = [ContactFriction::Torsional, ContactFriction::Rolling][index % 2];
         robot.nominal.torsional_friction = 0.02;
         robot.nominal.rolling_friction = 0.01;
         robot.nominal.restitution = 0.4;
-        let met = compare(&robot, ContactSettings::default(), &[], 40);
-        assert!(met.contacts > 20, "{}: {met:?}", robot.name);
+        let met = compare(&robot, ContactSettings::default(), None, &[], 15);
+        assert!(met.contacts > 0, "{}: {met:?}", robot.name);
     }
 }
 
 #[test]
 fn with_springs_surfaces_and_forces_on_links_on_a_slope() {
-    for mut robot in library() {
+    for mut robot in library(false) {
         let joints = robot.topology.num_joints();
         robot.topology.has_springs = true;
         robot.topology.has_surfaces = true;
@@ -228,17 +243,61 @@ fn with_springs_surfaces_and_forces_on_links_on_a_slope() {
         let (s, c) = 0.2f64.sin_cos();
         let ground = Some(Plane { normal: [0.6 * s, 0.8 * s, c], offset: -0.1 });
         let contact = ContactSettings { ground, iterations: 6, ..ContactSettings::default() };
-        let met = compare(&robot, contact, &[(0, true), (joints, false)], 40);
-        assert!(met.contacts > 20, "{}: {met:?}", robot.name);
+        let met = compare(&robot, contact, None, &[(0, true), (joints, false)], 15);
+        assert!(met.contacts > 0, "{}: {met:?}", robot.name);
+    }
+}
+
+/// Stairs, slopes, edges and bumps around the origin.
+fn rough_ground(random: &mut Random) -> HeightGrid {
+    let size = [161, 121];
+    let mut grid = HeightGrid::level([-4.0, -3.0], 0.05, size, 0.0);
+    for i in 0..size[0] {
+        for j in 0..size[1] {
+            let stairs = 0.1 * (i / 6 % 3) as f32;
+            let slope = 0.01 * (j as f32 - 60.0).abs();
+            grid.set_height(i, j, stairs + slope + 0.03 * random.next());
+        }
+    }
+    grid.note_squares();
+    grid
+}
+
+#[test]
+fn of_all_robots_on_rough_ground() {
+    let grid = rough_ground(&mut Random(3));
+    for (index, mut robot) in library(false).into_iter().enumerate() {
+        robot.topology.friction = [ContactFriction::Sliding, ContactFriction::Rolling][index % 2];
+        robot.nominal.rolling_friction = 0.01;
+        let met = compare(&robot, ContactSettings::default(), Some(&grid), &[], 25);
+        assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
     }
 }
 
 #[test]
 fn of_robots_that_are_fixed_or_fly() {
-    for mut robot in library() {
+    for mut robot in library(false) {
         let no_ground = ContactSettings { ground: None, ..ContactSettings::default() };
-        compare(&robot, no_ground, &[], 10);
+        compare(&robot, no_ground, None, &[], 10);
         robot.topology.floating = false;
-        compare(&robot, ContactSettings::default(), &[], 20);
+        compare(&robot, ContactSettings::default(), None, &[], 10);
     }
+}
+
+#[test]
+fn networks_are_refused_by_name() {
+    let program = NetworkProgram::new(1, 1, 0, 0, Vec::new()).unwrap();
+    let input = NetworkInput { is_velocity: false, age: 0, scale: 1.0 };
+    let network = ActuatorNetwork::new(vec![0], vec![input], 1.0, program).unwrap();
+    let scene = Scene { networks: &[network], ..Scene::default() };
+    let settings =
+        StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
+    let topology = Topology::new(true, Vec::new(), Vec::new(), 1, Vec::new(), false);
+    assert_eq!(Block::new(&topology, &settings, &scene, 1).err(), Some(Unsupported::Networks));
+    assert!(Unsupported::Networks.to_string().contains("actuator networks"));
+    // without parameters, or beyond the control step, a step is refused too
+    let mut block = Block::new(&topology, &settings, &Scene::default(), 1).unwrap();
+    assert!(!block.step_on_host(0..1));
+    block.share_parameters(&Parameters::zeros(&topology));
+    assert!(!block.step_on_host(0..5) && block.step_on_host(0..4));
 }
