@@ -6,9 +6,9 @@ Usage:
     tools/ptx.py --out FILE          write it somewhere else
 
 NVRTC compiles it. torch's wheel for Linux brings NVRTC, which needs no GPU and no CUDA toolkit. The
-bits of a CPU are those of single IEEE 754 operations, each rounded to nearest. PTX without `.rn` may
-be contracted, `.ftz` flushes subnormal numbers to zero, and `.approx` is not correctly rounded: the
-command refuses PTX with any of them, with exit code 1. Needs the standard library alone.
+bits of a CPU are those of single IEEE 754 operations, each rounded to nearest. PTX without `.rn`
+may be contracted, `.ftz` flushes subnormal numbers to zero, and `.approx` is not correctly rounded:
+the command refuses PTX with any of them, with exit code 1. Needs the standard library alone.
 """
 
 import argparse
@@ -99,7 +99,7 @@ def operations(ptx: str) -> dict[str, int]:
 
 
 def inexact(ptx: str) -> list[str]:
-    """Instructions whose bits a CPU need not share, each with the reason; empty if there are none."""
+    """Instructions whose bits a CPU need not share, each with the reason."""
     problems = []
     for name, count in sorted(operations(ptx).items()):
         operation, *suffixes = name.split(".")

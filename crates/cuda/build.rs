@@ -1,5 +1,5 @@
-//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust; and
-//! compiles the text of the device for the host, where the feature asks for it.
+//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust;
+//! and compiles the text of the device for the host, where the feature asks for it.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -136,8 +136,8 @@ impl Block {
         state.find_pressing();
     }
 
-    /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its forces on links are those with the keys of the block's
-    /// [`Scene`], in their order.
+    /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its
+    /// forces on links are those with the keys of the block's [`Scene`], in their order.
     pub fn write_drive(&mut self, env: usize, drive: &Drive<f32>, origin: [f32; 2]) {
         let targets = drive.targets.iter().flatten().chain(&drive.delay).chain(&drive.feedforward);
         let base = drive.base_force.iter().chain(&drive.base_torque).chain(&origin);

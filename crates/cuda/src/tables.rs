@@ -23,7 +23,7 @@ pub enum Unsupported {
     TooLarge,
 }
 
-/// What surrounds and drives the robots of a block beyond their topology.
+/// Ground, networks and forces around the robots of a block.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Scene<'a> {
     /// Ground that replaces the settings' plane, which must be level then. Its
@@ -33,8 +33,8 @@ pub struct Scene<'a> {
     pub networks: &'a [ActuatorNetwork],
     /// Control steps whose targets are remembered, the present one included.
     pub ages: usize,
-    /// Link and frame of each force from outside, in rising order: [`LinkForce::key`](
-    /// polypod_dynamics::LinkForce::key).
+    /// Link and frame of each force from outside, in rising order: keys of
+    /// [`LinkForce`](polypod_dynamics::LinkForce).
     pub link_forces: &'a [(usize, bool)],
 }
 
@@ -97,7 +97,8 @@ impl Tables {
     }
 }
 
-/// Lists of the tables. Places in the table of integers count from its beginning, behind the header.
+/// Lists of the tables. Places in the table of integers count from its beginning, behind the
+/// header.
 struct Lists {
     integers: Vec<usize>,
     numbers: Vec<f32>,
@@ -209,8 +210,8 @@ impl Lists {
         self.integers.extend(slots);
     }
 
-    /// Paths of the links to the base, then those of the pairs of links. Returns the number of parts
-    /// of the longest.
+    /// Paths of the links to the base, then those of the pairs of links. Returns the number of
+    /// parts of the longest.
     fn paths(&mut self, topology: &Topology, header: &mut [usize]) -> usize {
         let blocks = topology.blocks();
         let mut paths = paths_of_links(topology);
@@ -266,8 +267,7 @@ impl Lists {
             pairs.extend([parts, topology.num_links() + number, first_impulse, self.here()]);
             first_impulse += parts;
             for (block, _) in path_of_both(&paths, [first, second]) {
-                // which of the two a joint carries: 1 the first alone, -1 the second alone, 0 both; counted from 1, as
-                // the table holds no sign
+                // links that a joint carries: 2 the first alone, 0 the second alone, 1 both
                 for place in 0..3 {
                     let side = usize::from(carries(&paths[first], block, place)) + 1;
                     self.integers.push(side - usize::from(carries(&paths[second], block, place)));
@@ -467,8 +467,8 @@ fn plane_frame(plane: &Plane) -> [[f64; 3]; 3] {
     [n, t, cross(&n, &t)]
 }
 
-/// Places of the columns: of the parameters in the order in which they are visited, of state, drive,
-/// report and workspace.
+/// Places of the columns: of the parameters in the order in which they are visited, of state,
+/// drive, report and workspace.
 fn place_columns(
     topology: &Topology,
     settings: &StepSettings,
