@@ -208,7 +208,7 @@ fn compare(
 fn of_all_robots_on_a_plane() {
     let (mut limits, mut pairs) = (0, 0);
     for robot in library(true) {
-        let met = compare(&robot, ContactSettings::default(), None, &[], 20);
+        let met = compare(&robot, ContactSettings::default(), None, &[], 50);
         assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
         limits += usize::from(met.limits > 0);
         pairs += usize::from(met.pairs > 0);
