@@ -2,91 +2,17 @@
 //! `polypod-dynamics`: all robots of the library fall onto the ground and move about on it, and
 //! state and report are compared after each physics step.
 
-use polypod::config::Library;
+mod scenes;
+
 use polypod::dynamics::{
     ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
     NetworkProgram, Parameters, Plane, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
-use polypod::{Sim, SimOptions};
 use polypod_cuda::{Block, Scene, Unsupported};
+use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground};
 
 /// Robots of a block.
 const ENVS: usize = 3;
-
-struct Random(u64);
-
-impl Random {
-    /// A number from -1 to 1.
-    fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 40) as f32 / (1 << 23) as f32 - 1.0
-    }
-}
-
-/// A morphology of the library.
-struct Robot {
-    name: String,
-    topology: Topology,
-    nominal: Parameters<f32>,
-}
-
-/// All morphologies; `touching`: with contacts between the links of every robot.
-fn library(touching: bool) -> Vec<Robot> {
-    let library = Library::new(Vec::new());
-    let names: Vec<String> = library.robots().unwrap().iter().map(|robot| robot.name.clone()).collect();
-    assert!(names.len() >= 25, "the library has {} robots", names.len());
-    let options = SimOptions {
-        robots: Some(names.clone()),
-        threads: Some(1),
-        overrides: names.iter().map(|name| format!("robot_overrides.{name}.self_collisions={touching}")).collect(),
-        ..SimOptions::new("velocity_flat_legged_play", names.len())
-    };
-    let sim = Sim::new(&options).unwrap();
-    let morphologies = sim.morphologies().iter().zip(names);
-    morphologies
-        .map(|(morphology, name)| Robot {
-            name,
-            topology: morphology.topology.clone(),
-            nominal: morphology.nominal.clone(),
-        })
-        .collect()
-}
-
-fn random_state(robot: &Robot, random: &mut Random) -> State<f32> {
-    let mut state = State::zeros(&robot.topology);
-    state.position = [random.next(), random.next(), 0.5 + 0.3 * random.next()];
-    let q: [f32; 4] = [1.0, 0.5 * random.next(), 0.5 * random.next(), random.next()];
-    let norm = q.iter().map(|x| x * x).sum::<f32>().sqrt();
-    state.rotation = q.map(|x| x / norm);
-    state.linear_velocity = std::array::from_fn(|_| random.next());
-    state.angular_velocity = std::array::from_fn(|_| 2.0 * random.next());
-    for j in 0..robot.topology.num_joints() {
-        let (lower, upper) = (robot.nominal.lower[j].max(-1.5), robot.nominal.upper[j].min(1.5));
-        state.joint_position[j] = lower + (upper - lower) * (0.5 + 0.5 * random.next());
-        state.joint_velocity[j] = 2.0 * random.next();
-    }
-    state
-}
-
-/// Commands that change in each control step; now and then they ask for more than motors can give.
-fn randomise_drive(robot: &Robot, drive: &mut Drive<f32>, random: &mut Random) {
-    for age in (1..drive.targets.len()).rev() {
-        drive.targets[age] = drive.targets[age - 1].clone();
-    }
-    for j in 0..robot.topology.num_joints() {
-        drive.targets[0][j] = 1.2 * random.next();
-        drive.delay[j] = (3.0 * random.next()).abs().floor();
-        drive.feedforward[j] = 20.0 * random.next().powi(3);
-    }
-    drive.base_force = std::array::from_fn(|_| 60.0 * random.next().powi(5));
-    drive.base_torque = std::array::from_fn(|_| 10.0 * random.next().powi(5));
-    for force in &mut drive.link_forces {
-        force.acts = f32::from(random.next() > 0.0);
-        force.point = std::array::from_fn(|_| 0.1 * random.next());
-        force.force = std::array::from_fn(|_| 20.0 * random.next());
-        force.torque = std::array::from_fn(|_| random.next());
-    }
-}
 
 fn bits<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> Vec<u32> {
     numbers.into_iter().map(|x| x.to_bits()).collect()
@@ -246,21 +172,6 @@ fn with_springs_surfaces_and_forces_on_links_on_a_slope() {
         let met = compare(&robot, contact, None, &[(0, true), (joints, false)], 15);
         assert!(met.contacts > 0, "{}: {met:?}", robot.name);
     }
-}
-
-/// Stairs, slopes, edges and bumps around the origin.
-fn rough_ground(random: &mut Random) -> HeightGrid {
-    let size = [161, 121];
-    let mut grid = HeightGrid::level([-4.0, -3.0], 0.05, size, 0.0);
-    for i in 0..size[0] {
-        for j in 0..size[1] {
-            let stairs = 0.1 * (i / 6 % 3) as f32;
-            let slope = 0.01 * (j as f32 - 60.0).abs();
-            grid.set_height(i, j, stairs + slope + 0.03 * random.next());
-        }
-    }
-    grid.note_squares();
-    grid
 }
 
 #[test]
