@@ -159,7 +159,7 @@ class Kernel:
         local_bytes: int,
         loaded: float,
     ) -> None:
-        """A kernel with its registers and bytes of local memory a thread, and seconds of loading."""
+        """Keeps registers and bytes of local memory a thread, and seconds of loading."""
         self.device, self.module, self.function = device, module, function
         self.registers, self.local_bytes, self.loaded = registers, local_bytes, loaded
 
@@ -307,7 +307,7 @@ def measure(device: Device, kernel: Kernel, all_robots: list[Robots], threads: i
 def time_blocks(
     device: Device, kernel: Kernel, blocks: dict[str, Arrays], label: str, robot_name: str | None, sizes: list[int]
 ) -> bool:
-    """Times one robot, and all robots of the reference task at once. Returns whether bits were kept."""
+    """Times one robot and all of the reference task at once. Returns whether bits were kept."""
     good = True
     for scene in ("stand", "move"):
         names = [name for name in blocks if name.startswith(f"{scene}/")]
