@@ -27,6 +27,10 @@ ROUNDED = frozenset({"add", "sub", "mul", "div", "fma", "sqrt", "rcp"})
 """Operations that must say that they round to nearest."""
 INEXACT = frozenset({"mad", "rsqrt", "sin", "cos", "tanh", "ex2", "lg2"})
 """Operations that no machine promises the bits of."""
+OLDEST = {"compute_80": "7.0"}
+"""The oldest version of PTX that has an architecture: a driver refuses a newer one than its own."""
+HINT = re.compile(r'^\s*\.pragma "used_bytes_mask[^\n]*\n', re.MULTILINE)
+"""A hint to the assembler that older versions lack; it changes no result."""
 INSTRUCTION = re.compile(r"^\s*(?:@!?%\w+\s+)?([a-z][a-z0-9]*(?:\.[a-z0-9_:]+)+)\s")
 
 
@@ -56,7 +60,7 @@ def compile_text(
     flags: tuple[str, ...] = FLAGS,
     source: str | None = None,
 ) -> str:
-    """PTX of the text of the device, or of another `source`.
+    """PTX of the text of the device, or of another `source`, in the oldest version that will do.
 
     Raises :class:`NvrtcError` with NVRTC's log if the text does not compile.
     """
@@ -75,9 +79,12 @@ def compile_text(
         if nvrtc.nvrtcCompileProgram(program, len(options), array) != 0:
             log = _read(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)
             raise NvrtcError(f"crates/cuda/device: NVRTC refuses the text for {arch}:\n{log}")
-        return _read(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
+        ptx = _read(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+    if arch not in OLDEST:
+        return ptx
+    return re.sub(r"^\.version \S+", f".version {OLDEST[arch]}", HINT.sub("", ptx), flags=re.MULTILINE)
 
 
 def _read(size_of: "ctypes._FuncPointer", get: "ctypes._FuncPointer", program: ctypes.c_void_p) -> str:

@@ -3,6 +3,7 @@
 NVRTC needs no GPU. Where it is absent, the tests are skipped and say so.
 """
 
+import ctypes
 import sys
 from pathlib import Path
 
@@ -34,13 +35,37 @@ def nvrtc() -> Path:
         pytest.skip(str(error))
 
 
-def test_the_text_rounds_every_operation_to_nearest(nvrtc: Path) -> None:
-    text = ptx.compile_text(nvrtc)
+@pytest.fixture(scope="module")
+def text(nvrtc: Path) -> str:
+    """PTX of the text of the device."""
+    return ptx.compile_text(nvrtc)
+
+
+def test_the_text_rounds_every_operation_to_nearest(text: str) -> None:
     assert ptx.inexact(text) == []
     found = ptx.operations(text)
     for operation in ("add", "sub", "mul", "div", "fma", "sqrt"):
         assert found.get(f"{operation}.rn.f32", 0) > 0, operation
     assert ".entry polypod_control_step" in text
+
+
+def test_drivers_since_cuda_11_take_the_text(nvrtc: Path, text: str) -> None:
+    assert "\n.version 7.0\n" in text
+    found = sorted(nvrtc.parent.glob("libnvJitLink.so.*"))
+    if not found:
+        pytest.skip("libnvJitLink, the driver's assembler as a library: not found beside NVRTC")
+    linker = ctypes.CDLL(str(found[-1]))
+    program = ctypes.c_void_p()
+    options = (ctypes.c_char_p * 1)(b"-arch=sm_80")
+    assert linker.nvJitLinkCreate(ctypes.byref(program), 1, options) == 0
+    # 2: PTX; it is assembled at once
+    added = linker.nvJitLinkAddData(program, 2, text.encode(), len(text), b"step.ptx")
+    size = ctypes.c_size_t()
+    linker.nvJitLinkGetErrorLogSize(program, ctypes.byref(size))
+    log = ctypes.create_string_buffer(size.value + 1)
+    linker.nvJitLinkGetErrorLog(program, log)
+    linker.nvJitLinkDestroy(ctypes.byref(program))
+    assert added == 0, log.value.decode()
 
 
 def test_right_flags_keep_each_operation_as_it_is_written(nvrtc: Path) -> None:
