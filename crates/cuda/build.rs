@@ -1,0 +1,65 @@
+//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust;
+//! and compiles the text of the device for the host, where the feature asks for it.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::Path;
+use std::{env, fs};
+
+/// Value of an enumerator's expression: a sum of numbers and earlier names.
+fn value(expression: &str, known: &BTreeMap<String, i64>) -> Option<i64> {
+    expression.split('+').map(str::trim).map(|term| term.parse().ok().or_else(|| known.get(term).copied())).sum()
+}
+
+/// Constants of all enumerators of a C header that has no other braces than those of enums.
+fn constants(header: &str) -> Option<String> {
+    let mut text = header.to_owned();
+    while let Some((before, (_, after))) = text.split_once("/*").and_then(|(b, rest)| Some((b, rest.split_once("*/")?)))
+    {
+        text = format!("{before}{after}");
+    }
+    let mut known = BTreeMap::new();
+    let mut out = String::new();
+    for part in text.split("enum ").skip(1) {
+        let (_, body) = part.split_once('{')?;
+        let (body, _) = body.split_once('}')?;
+        let mut next = 0;
+        for enumerator in body.split(',').map(str::trim).filter(|text| !text.is_empty()) {
+            let (name, number) = match enumerator.split_once('=') {
+                Some((name, expression)) => (name.trim(), value(expression, &known)?),
+                None => (enumerator, next),
+            };
+            writeln!(out, "pub(crate) const {name}: usize = {number};").ok()?;
+            known.insert(name.to_owned(), number);
+            next = number + 1;
+        }
+    }
+    Some(out)
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed=device");
+    let header = fs::read_to_string("device/tables.h").unwrap_or_default();
+    let out = env::var("OUT_DIR").unwrap_or_default();
+    let written = constants(&header).map(|text| fs::write(Path::new(&out).join("layout.rs"), text));
+    if !matches!(written, Some(Ok(()))) {
+        println!("cargo::error=device/tables.h: an enumerator is no sum of numbers and earlier names");
+    }
+    #[cfg(feature = "host")]
+    compile_for_the_host();
+}
+
+/// Compiles the text as C: single operations in the order in which they stand, none contracted.
+#[cfg(feature = "host")]
+fn compile_for_the_host() {
+    let mut build = cc::Build::new();
+    build.file("device/step.cu").flag("-xc").std("c11").opt_level(2).warnings(true);
+    build.flag("-ffp-contract=off").flag("-fno-math-errno");
+    // without the instruction fmaf is a call, which gives the same bits
+    #[cfg(target_arch = "x86_64")]
+    if std::is_x86_feature_detected!("fma") && env::var("HOST") == env::var("TARGET") {
+        build.flag("-mfma");
+    }
+    build.compile("polypod_cuda_host");
+}

@@ -1,0 +1,151 @@
+/* Contacts with the ground: crates/dynamics/src/ground.rs, ground_contacts.rs, gaps.rs and
+ * spin_rows.rs. */
+#ifndef POLYPOD_GROUND_H
+#define POLYPOD_GROUND_H
+#include "rows.h"
+#include "terrain.h"
+
+/* Largest gap that may close in a step, m. */
+FN float reach_in_step(const Robot *a, float least, float now, float free) {
+    return nfma(min_(min_(now, free), 0.0f), TC(DT), least);
+}
+
+/* Speed at which a violation of some depth is pushed out, m/s. A depth of `slop` is left. */
+FN float push_speed(const Robot *a, float depth, float slop, float inverse_dt) {
+    float beyond = max_(depth - slop, 0.0f);
+    return min_(beyond * TC(CORRECTION) * inverse_dt, TC(MAX_PUSH));
+}
+
+/* Least allowed separation speed at a gap, m/s. */
+FN float separation(const Robot *a, float gap, float inverse_dt) {
+    float push = push_speed(a, -gap, TC(PENETRATION_SLOP), inverse_dt);
+    return gap < 0.0f ? push : -(gap * inverse_dt);
+}
+
+/* The lowest point of a candidate, in link axes; `up` is the world's up in link axes. */
+FN void candidate_point(const Robot *a, int contact, const float *up, float *o) {
+    p_load(a, T(P_CONTACT_POSITION) + 3 * contact, 3, o);
+    if (!T(T(T_CONTACT) + contact * CONTACT_SIZE + 2)) return;
+    const float *e = a->c + T(C_RIM) + contact * RIM_SIZE;
+    float c = -dot(e, up), s = -dot(e + 3, up);
+    float length = sqrtf(fma_(c, c, s * s));
+    /* an upright cylinder has no lowest rim point: take fixed ones */
+    int upright = length < (float)1e-3;
+    float inverse = 1.0f / length;
+    c = upright ? 1.0f : c * inverse;
+    s = upright ? 0.0f : s * inverse;
+    float tc = e[6], ts = e[7];
+    float c1 = fma_(c, tc, -(s * ts)), s1 = fma_(s, tc, c * ts), rim = P(T(P_CONTACT_RIM) + contact);
+    add_scaled(o, e, c1 * rim, o);
+    add_scaled(o, e + 3, s1 * rim, o);
+}
+
+/* Torsional and rolling friction of the contact that was added last. */
+CALLED void add_spin(Robot *a, int contact, const float *frame) {
+    int i = a->num_spins, spin = SPIN(i), path = ROW_PATH(a->num_contacts - 1);
+    float product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
+    for (int d = 0; d < 3; d++) {
+        w_store(a, spin + 6 * d, 3, frame + 3 * d);
+        for (int k = 3; k < 6; k++) W(spin + 6 * d + k) = 0.0f;
+    }
+    build_rows(a, path, spin, SPIN_PARTS(i));
+    products(a, spin, SPIN_PARTS(i), path, 0, product);
+    float difference = (product[1] - product[2]) * 0.5f;
+    float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
+    w_store(a, spin + ROW_COUPLING, 3, product + 3);
+    for (int d = 0; d < 3; d++) {
+        W(spin + ROW_INVERSE + d) = 1.0f / max_(product[d], least);
+        W(spin + SPIN_IMPULSE + d) = S(T(S_IMPULSE) + 3 * (T(ROWS) + contact) + d);
+    }
+    W(spin + SPIN_ROLL) = 1.0f / max_(fma_(product[1] + product[2], 0.5f, radius), least);
+    a->num_spins += 1;
+}
+
+/* Finds the contacts near the ground and builds their rows. `free_base` is the velocity that the base
+ * would have without constraints, in base axes about its origin. */
+FN void build_ground_contacts(Robot *a, const float *free_base) {
+    float margin = TC(GROUND_MARGIN), inverse_dt = 1.0f / TC(DT), position[3], frame[9];
+    a->num_contacts = a->num_spins = 0;
+    a->violation = 0.0f;
+    /* the base's inertia is composite: the whole robot's */
+    a->compliance = 1.0f / W(T(W_DYNAMICS) + DYNAMICS_INERTIA);
+    if (!T(HAS_GROUND)) return;
+    s_load(a, T(S_POSITION), 3, position);
+    float ground = dot(a->c + PLANE, position) - TC(PLANE_OFFSET);
+    for (int d = 0; d < 3; d++) mul_vec_transposed(a->base_rotation, a->c + PLANE + 3 * d, frame + 3 * d);
+    for (int link = 0; link <= T(JOINTS); link++) {
+        int first = T(T(T_LINK_CONTACTS) + link), end = T(T(T_LINK_CONTACTS) + link + 1);
+        if (first == end) continue;
+        float r[9], x[3], box[6], up[3];
+        w_load(a, LINK(link), 9, r);
+        w_load(a, LINK(link) + LINK_POSITION, 3, x);
+        float origin_height = ground + dot(frame, x);
+        mul_vec_transposed(r, frame, up);
+        p_load(a, T(P_LINK_BOX) + 6 * link, 6, box);
+        float highest = margin;
+        if (T(HAS_GRID)) {
+            float place[3];
+            mul_vec(r, box, place);
+            add(x, place, place);
+            world_place(frame, position, place, place);
+            float bound = terrain_bound(a, 0, place[0], place[1], sqrtf(dot(box + 3, box + 3)) + margin);
+            highest = margin + bound - TC(PLANE_OFFSET);
+        }
+        float below = fma_(box[3], fabsf(up[0]), fma_(box[4], fabsf(up[1]), box[5] * fabsf(up[2])));
+        if (!(origin_height + dot(up, box) - below < highest)) continue;
+        for (int c = first; c < end; c++) {
+            float radius = P(T(P_CONTACT_RADIUS) + c), local[3], centre[3];
+            float reach = radius + P(T(P_CONTACT_RIM) + c);
+            p_load(a, T(P_CONTACT_POSITION) + 3 * c, 3, local);
+            if (!(origin_height + dot(up, local) - reach < highest)) continue;
+            candidate_point(a, c, up, local);
+            float gap = origin_height + dot(up, local) - radius;
+            if (!(gap < highest)) continue;
+            float surface[9];
+            const float *axes = frame;
+            mul_vec(r, local, centre);
+            add(x, centre, centre);
+            if (T(HAS_GRID)) {
+                float place[3];
+                world_place(frame, position, centre, place);
+                float bound = terrain_bound(a, 1, place[0], place[1], radius + margin);
+                if (!(gap < margin + bound - TC(PLANE_OFFSET))) continue;
+                gap = on_terrain(a, frame, place, radius, surface);
+                if (!(gap < margin)) continue;
+                axes = surface;
+            }
+            float motion[6], v[3], moving[6];
+            w_load(a, LINK(link) + LINK_VELOCITY, 6, motion);
+            /* link velocities leave the base's linear velocity out */
+            for (int k = 0; k < 6; k++) moving[k] = motion[k] + (k < 3 ? 0.0f : a->velocity_base[k]);
+            at_point(moving, centre, v);
+            float now = dot(axes, v);
+            w_load(a, LINK(link) + LINK_FREE, 6, motion);
+            for (int k = 0; k < 6; k++) moving[k] = motion[k] + free_base[k];
+            at_point(moving, centre, v);
+            float free = dot(axes, v);
+            if (!(gap < min_(reach_in_step(a, TC(GROUND_REACH), now, free), margin))) continue;
+            int i = a->num_contacts, row = ROW(i);
+            float point[3];
+            scale(axes, radius, point);
+            sub(centre, point, point);
+            ROW_CONTACT(i) = c;
+            ROW_PATH(i) = link;
+            ROW_PAIR(i) = -1;
+            set_directions(a, row, point, axes);
+            w_store(a, row + ROW_FRAME, 9, axes);
+            build_rows(a, link, row, ROW_PARTS(i));
+            finish_rows(a, TC(GROUND_COMPLIANCE));
+            float bounce = NO_TARGET, restitution = P(T(P_RESTITUTION));
+            if (0.0f < restitution) {
+                /* the sparse velocity is that before the step */
+                float approach = first_velocity(a, row, ROW_PARTS(i), link, a->y, T(W_JOINTS));
+                int bounces = (approach < TC(BOUNCE_SPEED)) & (gap < -(approach * TC(DT)));
+                if (bounces) bounce = -(approach * restitution);
+            }
+            add_contact(a, separation(a, gap, inverse_dt), bounce, T(S_IMPULSE) + 3 * c);
+            if (T(FRICTION)) add_spin(a, c, axes);
+        }
+    }
+}
+#endif

@@ -1,0 +1,172 @@
+/* Kinematics, composite inertias and bias forces: crates/dynamics/src/kinematics.rs. */
+#ifndef POLYPOD_KINEMATICS_H
+#define POLYPOD_KINEMATICS_H
+#include "factor.h"
+
+/* A turn about a coordinate axis mixes the two other columns. */
+FN void turned_about(float *r, float *axis, float sign, float angle, int x, int y, int z) {
+    float s, c;
+    sin_cos(angle, &s, &c);
+    s = s * sign;
+    set3(axis, r[x] * sign, r[3 + x] * sign, r[6 + x] * sign);
+    for (int i = 0; i < 9; i += 3) {
+        float b = r[i + y], d = r[i + z];
+        r[i + y] = fma_(c, b, s * d);
+        r[i + z] = fma_(c, d, -(s * b));
+    }
+}
+
+/* Turns r about an axis of its own; the axis in the outer frame goes to `axis`. */
+FN void turned(const Robot *a, int j, float angle, float *r, float *axis) {
+    const float *u = a->c + T(C_AXIS) + j * AXIS_SIZE;
+    switch (T(T(T_JOINT) + j * JOINT_SIZE + 2)) {
+    case 0: turned_about(r, axis, u[3], angle, 0, 1, 2); return;
+    case 1: turned_about(r, axis, u[3], angle, 1, 2, 0); return;
+    case 2: turned_about(r, axis, u[3], angle, 2, 0, 1); return;
+    default: break;
+    }
+    float s, c;
+    sin_cos(angle, &s, &c);
+    float versine = 1.0f - c;
+    float vx = u[0] * versine, vy = u[1] * versine, vz = u[2] * versine;
+    float sx = u[0] * s, sy = u[1] * s, sz = u[2] * s;
+    float turn[9] = {fma_(vx, u[0], c), fma_(vx, u[1], -sz), fma_(vx, u[2], sy),
+                     fma_(vy, u[0], sz), fma_(vy, u[1], c), fma_(vy, u[2], -sx),
+                     fma_(vz, u[0], -sy), fma_(vz, u[1], sx), fma_(vz, u[2], c)};
+    mul_vec(r, u, axis);
+    for (int i = 0; i < 9; i += 3) {
+        float x = r[i], y = r[i + 1], z = r[i + 2];
+        for (int j1 = 0; j1 < 3; j1++) r[i + j1] = fma_(x, turn[j1], fma_(y, turn[3 + j1], z * turn[6 + j1]));
+    }
+}
+
+FN void place_base(Robot *a, const float *velocity) {
+    for (int i = 0; i < 9; i++) W(LINK(0) + i) = i % 4 == 0 ? 1.0f : 0.0f;
+    for (int i = 0; i < 3; i++) W(LINK(0) + LINK_POSITION + i) = 0.0f;
+    w_store(a, LINK(0) + LINK_VELOCITY, 6, velocity);
+}
+
+/* Position, axis and velocity of the link that a joint moves, after those of its parent. */
+CALLED void place_link(Robot *a, int j) {
+    int parent = T(T(T_JOINT) + j * JOINT_SIZE), from = LINK(parent), to = LINK(j + 1);
+    float r[9], x[3], axis[6], offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
+    w_load(a, from, 9, r);
+    p_load(a, T(P_OFFSET) + 3 * j, 3, offset);
+    if (parent == 0) {
+        copy(x, offset, 3);
+    } else {
+        w_load(a, from + LINK_POSITION, 3, x);
+        mul_vec(r, offset, t);
+        add(x, t, x);
+    }
+    if (T(T(T_JOINT) + j * JOINT_SIZE + 1)) {
+        mul_vec(r, a->c + T(C_AXIS) + j * AXIS_SIZE, axis + 3);
+        set3(axis, 0.0f, 0.0f, 0.0f);
+        add_scaled(x, axis + 3, position, x);
+    } else {
+        turned(a, j, position, r, axis);
+        cross(x, axis, axis + 3);
+    }
+    w_store(a, to, 9, r);
+    w_store(a, to + LINK_POSITION, 3, x);
+    w_store(a, to + LINK_AXIS, 6, axis);
+    for (int i = 0; i < 6; i++)
+        W(to + LINK_VELOCITY + i) = fma_(axis[i], velocity, W(from + LINK_VELOCITY + i));
+}
+
+FN void forward_kinematics(Robot *a, const float *base_velocity) {
+    place_base(a, base_velocity);
+    for (int j = 0; j < T(JOINTS); j++) place_link(a, j);
+}
+
+/* Sets the links' free velocities to those that the joint velocities in W_RHS give them. */
+FN void free_links(Robot *a) {
+    for (int i = 0; i < 6; i++) W(LINK(0) + LINK_FREE + i) = 0.0f;
+    for (int b = 0; b < T(BLOCKS); b++) {
+        int block = BLOCK_AT(b);
+        for (int place = 0; place < T(block + 3); place++) {
+            int j = T(block + place), from = LINK(T(T(T_JOINT) + j * JOINT_SIZE)), to = LINK(j + 1);
+            float velocity = W(T(W_RHS) + 3 * b + place);
+            for (int i = 0; i < 6; i++)
+                W(to + LINK_FREE + i) = fma_(W(to + LINK_AXIS + i), velocity, W(from + LINK_FREE + i));
+        }
+    }
+}
+
+/* Inertia about the base's origin, and the force that motion and gravity ask for, by Newton's and
+ * Euler's equations about the centre of mass. */
+CALLED void link_dynamics(Robot *a, int at, float mass, const float *com, const float *inertia, const float *velocity,
+                      const float *acceleration) {
+    float spatial[10], of_com[3], lin[3], ang[3], t[3];
+    spatial_inertia(mass, com, inertia, spatial);
+    cross_add(velocity, com, velocity + 3, of_com);
+    cross_add(acceleration, com, acceleration + 3, t);
+    cross_add(velocity, of_com, t, lin);
+    scale(lin, mass, lin);
+    mul_sym(inertia, acceleration, ang);
+    mul_sym(inertia, velocity, t);
+    cross_add(velocity, t, ang, ang);
+    cross_add(com, lin, ang, ang);
+    w_store(a, at, 6, acceleration);
+    w_store(a, at + DYNAMICS_INERTIA, 10, spatial);
+    w_store(a, at + DYNAMICS_FORCE, 3, ang);
+    w_store(a, at + DYNAMICS_FORCE + 3, 3, lin);
+}
+
+#define SLOT(link) (T(W_DYNAMICS) + T(T(T_SLOT) + (link)) * DYNAMICS_SIZE)
+
+/* Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree, each
+ * from the base to the leaves and back. `gravity` is in base axes. */
+FN void equations_of_motion(Robot *a, const float *gravity) {
+    float velocity[6] = {0}, acceleration[6] = {0}, com[3], inertia[6], r[9], x[3];
+    s_load(a, T(S_ANGULAR), 3, velocity);
+    place_base(a, velocity);
+    scale(gravity, -1.0f, acceleration + 3);
+    p_load(a, T(P_COM), 3, com);
+    p_load(a, T(P_INERTIA), 6, inertia);
+    link_dynamics(a, SLOT(0), P(T(P_MASS)), com, inertia, velocity, acceleration);
+    for (int tree = T(TREES) - 1; tree >= 0; tree--) {
+        int count = T(T(T_TREE) + 2 * tree), first = T(T(T_TREE) + 2 * tree + 1);
+        for (int k = 0; k < count; k++) {
+            int block = BLOCK_AT(T(first + k)), len = T(block + 3);
+            for (int place = 0; place < len; place++) place_link(a, T(block + place));
+            for (int place = 0; place < len; place++) {
+                int j = T(block + place), link = LINK(j + 1), own = SLOT(j + 1);
+                int parent = SLOT(T(T(T_JOINT) + j * JOINT_SIZE));
+                float v = S(T(S_JOINT_VELOCITY) + j), relative[6], product[6], local[6];
+                w_load(a, link + LINK_AXIS, 6, relative);
+                for (int i = 0; i < 6; i++) relative[i] = relative[i] * v;
+                w_load(a, link + LINK_VELOCITY, 6, velocity);
+                cross_motion(velocity, relative, product);
+                for (int i = 0; i < 6; i++) acceleration[i] = W(parent + i) + product[i];
+                w_load(a, link, 9, r);
+                w_load(a, link + LINK_POSITION, 3, x);
+                p_load(a, T(P_COM) + 3 * (j + 1), 3, local);
+                mul_vec(r, local, com);
+                add(x, com, com);
+                p_load(a, T(P_INERTIA) + 6 * (j + 1), 6, local);
+                rotate_sym(r, local, inertia);
+                link_dynamics(a, own, P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
+            }
+        }
+        for (int k = count - 1; k >= 0; k--) {
+            int b = T(first + k), block = BLOCK_AT(b);
+            for (int place = T(block + 3) - 1; place >= 0; place--) {
+                int j = T(block + place), own = SLOT(j + 1), parent = SLOT(T(T(T_JOINT) + j * JOINT_SIZE));
+                float axis[6], force[6];
+                set_joint(a, b, place, own + DYNAMICS_INERTIA, P(T(P_ARMATURE) + j));
+                w_load(a, LINK(j + 1) + LINK_AXIS, 6, axis);
+                w_load(a, own + DYNAMICS_FORCE, 6, force);
+                W(T(W_BIAS) + j) = dot6(axis, force);
+                for (int i = 0; i < 6; i++)
+                    W(parent + DYNAMICS_FORCE + i) = W(parent + DYNAMICS_FORCE + i) + force[i];
+                for (int i = 0; i < 10; i++)
+                    W(parent + DYNAMICS_INERTIA + i) = W(parent + DYNAMICS_INERTIA + i) + W(own + DYNAMICS_INERTIA + i);
+            }
+            set_empty_places(a, b);
+        }
+    }
+    w_load(a, SLOT(0) + DYNAMICS_FORCE, 6, a->bias_base);
+    set_base(a, SLOT(0) + DYNAMICS_INERTIA);
+}
+#endif

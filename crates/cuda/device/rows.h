@@ -1,0 +1,321 @@
+/* Constraint rows Z = H^-T J^T, three at a time: crates/dynamics/src/sparse_rows.rs and rows.rs.
+ *
+ * `row` is the first column of the rows: their base parts (18), then the parts of the first block of
+ * their path (9). `further` is the first column of the parts of the other blocks. With `units` the
+ * numbers below the diagonal of the first block's part are zero, and left out. */
+#ifndef POLYPOD_ROWS_H
+#define POLYPOD_ROWS_H
+#include "factor.h"
+
+/* The first block of a path, 0 if there is none. */
+FN int first_block(const Robot *a, int path) { return PATH_PARTS(path) > 0 ? T(PART(path, 0)) : 0; }
+
+CALLED void velocities(const Robot *a, int row, int further, int path, int units, const float *y_base, int joints,
+                   float *w) {
+    int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
+    float even[3], odd[3], base[18];
+    for (int d = 0; d < 3; d++) even[d] = W(row + ROW_OWN + d) * W(y);
+    for (int s = 1; s < BLOCK; s++)
+        for (int d = 0; d < 3; d++)
+            if (!units || d >= s) even[d] = fma_(W(row + ROW_OWN + 3 * s + d), W(y + s), even[d]);
+    for (int p = 1; p < parts; p++) {
+        int z = further + 9 * (p - 1);
+        y = joints + 3 * T(PART(path, p));
+        for (int s = 0; s < BLOCK; s++)
+            for (int d = 0; d < 3; d++) even[d] = fma_(W(z + 3 * s + d), W(y + s), even[d]);
+    }
+    w_load(a, row, 18, base);
+    for (int d = 0; d < 3; d++) {
+        const float *b = base + 6 * d;
+        even[d] = fma_(b[4], y_base[4], fma_(b[2], y_base[2], fma_(b[0], y_base[0], even[d])));
+        odd[d] = fma_(b[5], y_base[5], fma_(b[3], y_base[3], b[1] * y_base[1]));
+        w[d] = even[d] + odd[d];
+    }
+}
+
+CALLED void apply_rows(Robot *a, int row, int further, int path, int units, const float *impulse, float *y_base,
+                   int joints) {
+    int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
+    for (int r = 0; r < 6; r++) {
+        float x = fma_(W(row + r), impulse[0], y_base[r]);
+        x = fma_(W(row + 6 + r), impulse[1], x);
+        y_base[r] = fma_(W(row + 12 + r), impulse[2], x);
+    }
+    for (int s = 0; s < BLOCK; s++) {
+        float x = W(y + s);
+        for (int d = 0; d < 3; d++)
+            if (!units || d >= s) x = fma_(W(row + ROW_OWN + 3 * s + d), impulse[d], x);
+        W(y + s) = x;
+    }
+    for (int p = 1; p < parts; p++) {
+        int z = further + 9 * (p - 1);
+        y = joints + 3 * T(PART(path, p));
+        for (int s = 0; s < BLOCK; s++) {
+            float x = fma_(W(z + 3 * s), impulse[0], W(y + s));
+            x = fma_(W(z + 3 * s + 1), impulse[1], x);
+            W(y + s) = fma_(W(z + 3 * s + 2), impulse[2], x);
+        }
+    }
+}
+
+/* a . b + c of six numbers, in two chains */
+FN float dot6_onto(const float *a, const float *b, float c) {
+    float even = fma_(a[4], b[4], fma_(a[2], b[2], fma_(a[0], b[0], c)));
+    float odd = fma_(a[5], b[5], fma_(a[3], b[3], a[1] * b[1]));
+    return even + odd;
+}
+
+/* Products of the rows 0 0, 1 1, 2 2, 0 1, 0 2, 1 2. */
+CALLED void products(const Robot *a, int row, int further, int path, int units, float *out) {
+    float product[6] = {0}, x[9], base[18];
+    w_load(a, row + ROW_OWN, 9, x);
+    for (int s = 0; s < BLOCK; s++) {
+        const float *z = x + 3 * s;
+        if (!units || s <= 0) product[0] = fma_(z[0], z[0], product[0]);
+        if (!units || s <= 1) product[1] = fma_(z[1], z[1], product[1]);
+        product[2] = fma_(z[2], z[2], product[2]);
+        if (!units || s <= 0) product[3] = fma_(z[0], z[1], product[3]);
+        if (!units || s <= 0) product[4] = fma_(z[0], z[2], product[4]);
+        if (!units || s <= 1) product[5] = fma_(z[1], z[2], product[5]);
+    }
+    for (int p = 1; p < PATH_PARTS(path); p++) {
+        w_load(a, further + 9 * (p - 1), 9, x);
+        for (int s = 0; s < BLOCK; s++) {
+            const float *z = x + 3 * s;
+            product[0] = fma_(z[0], z[0], product[0]);
+            product[1] = fma_(z[1], z[1], product[1]);
+            product[2] = fma_(z[2], z[2], product[2]);
+            product[3] = fma_(z[0], z[1], product[3]);
+            product[4] = fma_(z[0], z[2], product[4]);
+            product[5] = fma_(z[1], z[2], product[5]);
+        }
+    }
+    w_load(a, row, 18, base);
+    out[0] = dot6_onto(base, base, product[0]);
+    out[1] = dot6_onto(base + 6, base + 6, product[1]);
+    out[2] = dot6_onto(base + 12, base + 12, product[2]);
+    out[3] = dot6_onto(base, base + 6, product[3]);
+    out[4] = dot6_onto(base, base + 12, product[4]);
+    out[5] = dot6_onto(base + 6, base + 12, product[5]);
+}
+
+CALLED float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
+    int y = joints + 3 * first_block(a, path);
+    float base[6], w = W(row + ROW_OWN) * W(y);
+    w = fma_(W(row + ROW_OWN + 6), W(y + 2), fma_(W(row + ROW_OWN + 3), W(y + 1), w));
+    for (int p = 1; p < PATH_PARTS(path); p++) {
+        int z = further + 9 * (p - 1);
+        y = joints + 3 * T(PART(path, p));
+        for (int s = 0; s < BLOCK; s++) w = fma_(W(z + 3 * s), W(y + s), w);
+    }
+    w_load(a, row, 6, base);
+    return dot6_onto(base, y_base, w);
+}
+
+CALLED void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
+    int y = joints + 3 * first_block(a, path);
+    for (int r = 0; r < 6; r++) y_base[r] = fma_(W(row + r), impulse, y_base[r]);
+    for (int s = 0; s < BLOCK; s++) W(y + s) = fma_(W(row + ROW_OWN + 3 * s), impulse, W(y + s));
+    for (int p = 1; p < PATH_PARTS(path); p++) {
+        int z = further + 9 * (p - 1);
+        y = joints + 3 * T(PART(path, p));
+        for (int s = 0; s < BLOCK; s++) W(y + s) = fma_(W(z + 3 * s), impulse, W(y + s));
+    }
+}
+
+/* Eliminates a block's joints among themselves. */
+CALLED void eliminate_inner(Robot *a, int b, int x) {
+    int inner = FACTOR(b) + FACTOR_INNER;
+    float l10 = W(inner), l20 = W(inner + 1), l21 = W(inner + 2);
+    for (int d = 0; d < 3; d++) {
+        float x2 = W(x + 6 + d), x1 = nfma(l21, x2, W(x + 3 + d));
+        W(x + 3 + d) = x1;
+        W(x + d) = nfma(l10, x1, nfma(l20, x2, W(x + d)));
+    }
+}
+
+/* Change of the parts that carry a block by the elimination of its joints, whose rows are `x`. */
+CALLED void pass_on(Robot *a, int part, const float *x, int further) {
+    int first = T(BLOCK_AT(T(part)) + 6);
+    for (int c = 0; c < T(part + 2); c++) {
+        int on = further + 9 * (T(T(part + 3) + c) - 1);
+        float l[9], to[9];
+        w_load(a, COUPLING(first + c), 9, l);
+        w_load(a, on, 9, to);
+        for (int s = 0; s < BLOCK; s++)
+            for (int t = 0; t < BLOCK; t++)
+                for (int d = 0; d < 3; d++) to[3 * t + d] = nfma(l[3 * s + t], x[3 * s + d], to[3 * t + d]);
+        w_store(a, on, 9, to);
+    }
+}
+
+/* Eliminates the blocks of a path after the first among themselves. */
+FN void half_solve_further(Robot *a, int path, int further) {
+    for (int p = 1; p < PATH_PARTS(path); p++) {
+        int part = PART(path, p), at = further + 9 * (p - 1);
+        float x[9];
+        eliminate_inner(a, T(part), at);
+        w_load(a, at, 9, x);
+        pass_on(a, part, x, further);
+    }
+}
+
+FN void eliminate_base(const Robot *a, int b, int x, int d, float *base) {
+    for (int s = BLOCK - 1; s >= 0; s--)
+        for (int r = 0; r < 6; r++)
+            base[r] = nfma(W(FACTOR(b) + FACTOR_BASE + 6 * s + r), W(x + 3 * s + d), base[r]);
+}
+
+FN void scale_rows(Robot *a, int b, int x) {
+    for (int s = 0; s < BLOCK; s++)
+        for (int d = 0; d < 3; d++) W(x + 3 * s + d) = W(x + 3 * s + d) * W(ROOT(b) + 2 * s + 1);
+}
+
+/* Change of the base's part by the elimination of the joints; D^-1/2 of the blocks after the first. */
+CALLED void solve_base(Robot *a, int row, int further, int path, int with_first) {
+    int parts = PATH_PARTS(path);
+    if (T(FLOATING)) {
+        for (int d = 0; d < 3; d++) {
+            float base[6];
+            w_load(a, row + 6 * d, 6, base);
+            if (with_first) eliminate_base(a, T(PART(path, 0)), row + ROW_OWN, d, base);
+            for (int p = 1; p < parts; p++) eliminate_base(a, T(PART(path, p)), further + 9 * (p - 1), d, base);
+            base_forward(a, base);
+            for (int r = 0; r < 6; r++) W(row + 6 * d + r) = base[r] * a->root[2 * r + 1];
+        }
+    }
+    for (int p = 1; p < parts; p++) scale_rows(a, T(PART(path, p)), further + 9 * (p - 1));
+}
+
+/* H^-T J^T in place. */
+CALLED void half_solve_rows(Robot *a, int row, int further, int path) {
+    int parts = PATH_PARTS(path);
+    if (parts == 0) {
+        solve_base(a, row, further, path, 0);
+        return;
+    }
+    int part = PART(path, 0), b = T(part);
+    eliminate_inner(a, b, row + ROW_OWN);
+    if (parts > 1) {
+        float x[9];
+        w_load(a, row + ROW_OWN, 9, x);
+        pass_on(a, part, x, further);
+    }
+    half_solve_further(a, path, further);
+    solve_base(a, row, further, path, 1);
+    scale_rows(a, b, row + ROW_OWN);
+}
+
+/* H^-T J^T of three unit vectors, one for each joint of the block where the path begins. */
+FN void half_solve_units(Robot *a, int row, int further, int path) {
+    int parts = PATH_PARTS(path), part = PART(path, 0), b = T(part), own = FACTOR(b);
+    float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
+    float x01 = -l10, x12 = -l21, x02 = nfma(l10, x12, -l20);
+    if (parts > 1) {
+        float x[9] = {1.0f, x01, x02, 0.0f, 1.0f, x12, 0.0f, 0.0f, 1.0f};
+        for (int k = 0; k < 9 * (parts - 1); k++) W(further + k) = 0.0f;
+        pass_on(a, part, x, further);
+    }
+    half_solve_further(a, path, further);
+    for (int r = 0; r < 6; r++) {
+        int base = own + FACTOR_BASE + r;
+        W(row + r) = -W(base);
+        W(row + 6 + r) = nfma(x01, W(base), -W(base + 6));
+        W(row + 12 + r) = nfma(x02, W(base), nfma(x12, W(base + 6), -W(base + 12)));
+    }
+    solve_base(a, row, further, path, 0);
+    float r0 = W(ROOT(b) + 1), r1 = W(ROOT(b) + 3), r2 = W(ROOT(b) + 5);
+    W(row + ROW_OWN) = r0;
+    W(row + ROW_OWN + 1) = x01 * r0;
+    W(row + ROW_OWN + 2) = x02 * r0;
+    W(row + ROW_OWN + 4) = r1;
+    W(row + ROW_OWN + 5) = x12 * r1;
+    W(row + ROW_OWN + 8) = r2;
+}
+
+/* J of a block's joints for forces along three directions, each its moment and itself. */
+FN void joint_rows(Robot *a, int part, int directions, int out) {
+    int joints = BLOCK_AT(T(part));
+    for (int s = 0; s < BLOCK; s++) {
+        if (s >= T(part + 1)) {
+            for (int d = 0; d < 3; d++) W(out + 3 * s + d) = 0.0f;
+            continue;
+        }
+        float axis[6], x[6];
+        w_load(a, LINK(T(joints + s) + 1) + LINK_AXIS, 6, axis);
+        for (int d = 0; d < 3; d++) {
+            w_load(a, directions + 6 * d, 6, x);
+            W(out + 3 * s + d) = dot(axis, x) + dot(axis + 3, x + 3);
+        }
+    }
+}
+
+/* Z of three rows that act on a link; their base parts hold the directions. */
+CALLED void build_rows(Robot *a, int path, int row, int further) {
+    int parts = PATH_PARTS(path);
+    for (int p = 0; p < parts; p++)
+        joint_rows(a, PART(path, p), row, p == 0 ? row + ROW_OWN : further + 9 * (p - 1));
+    if (parts == 0)
+        for (int k = 0; k < 9; k++) W(row + ROW_OWN + k) = 0.0f;
+    if (!T(FLOATING))
+        for (int k = 0; k < 18; k++) W(row + k) = 0.0f;
+    half_solve_rows(a, row, further, path);
+}
+
+/* Directions of rows along the axes of `frame` at a point. */
+FN void set_directions(Robot *a, int row, const float *point, const float *frame) {
+    float moment[3];
+    for (int d = 0; d < 3; d++) {
+        cross(point, frame + 3 * d, moment);
+        w_store(a, row + 6 * d, 3, moment);
+        w_store(a, row + 6 * d + 3, 3, frame + 3 * d);
+    }
+}
+
+#define ROW(i) (T(W_ROW) + (i) * ROW_SIZE)
+#define ROW_PARTS(i) (T(W_FURTHER) + (i) * 9 * T(STRIDE))
+#define ROW_CONTACT(i) I(T(I_ROW) + ROW_INTEGERS * (i))
+#define ROW_PATH(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 1)
+#define ROW_PAIR(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 2)
+#define SPIN(i) (T(W_SPIN) + (i) * SPIN_SIZE)
+#define SPIN_PARTS(i) (T(W_SPIN_FURTHER) + (i) * 9 * T(STRIDE))
+#define BOUND(b) (T(W_BOUND) + (b) * BOUND_SIZE)
+#define BOUND_PARTS(b) (T(W_BOUND_FURTHER) + (b) * 9 * T(STRIDE))
+#define BOUND_INTEGER(b) (T(I_BOUND) + (b) * BOUND_INTEGERS)
+/* the path of a block's last joint */
+#define BOUND_PATH(b) (T(BLOCK_AT(b) + T(BLOCK_AT(b) + 3) - 1) + 1)
+
+/* Couplings of the rows about to be added. */
+CALLED void finish_rows(Robot *a, float compliance) {
+    int i = a->num_contacts, row = ROW(i);
+    float product[6], softness = a->compliance * compliance, least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
+    products(a, row, ROW_PARTS(i), ROW_PATH(i), 0, product);
+    float difference = (product[1] - product[2]) * 0.5f;
+    float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
+    float diagonal = product[0] + softness;
+    float inverse[3] = {1.0f / diagonal, 1.0f / max_(product[1], least), 1.0f / max_(product[2], least)};
+    float c01 = product[3], c02 = product[4], c12 = product[5], pass1 = c01 * inverse[1];
+    w_store(a, row + ROW_COUPLING, 3, product + 3);
+    w_store(a, row + ROW_INVERSE, 3, inverse);
+    w_store(a, row + ROW_ACROSS, 2, product + 1);
+    W(row + ROW_DIAGONAL) = diagonal;
+    W(row + ROW_STICKING) = pass1;
+    W(row + ROW_STICKING + 1) = nfma(c12, pass1, c02) * inverse[2];
+    W(row + ROW_STICKING + 2) = c12 * inverse[1] * inverse[2];
+    W(row + ROW_SLIDE) = 1.0f / max_(fma_(product[1] + product[2], 0.5f, radius), least);
+    W(row + ROW_SOFTNESS) = softness;
+}
+
+/* Adds the rows that were built as a contact that separates at least at the speeds `target`, which
+ * may push out, and `bounce`. `impulse` is its first column of the state. */
+FN void add_contact(Robot *a, float target, float bounce, int impulse) {
+    int row = ROW(a->num_contacts);
+    a->violation = max_(a->violation, target);
+    W(row + ROW_TARGET) = max_(min_(target, 0.0f), bounce);
+    W(row + ROW_PUSH) = target;
+    W(row + ROW_PUSH_IMPULSE) = 0.0f;
+    W(row + ROW_LAST_CHANGE) = 0.0f;
+    for (int d = 0; d < 3; d++) W(row + ROW_IMPULSE + d) = S(impulse + d);
+    a->num_contacts += 1;
+}
+#endif

@@ -1,0 +1,131 @@
+/* Layout of the tables and columns. crates/cuda/src/layout.rs states the same order; a test compares
+ * the two. A column is one number of every robot of a block, contiguous: [number][env]. */
+#ifndef POLYPOD_TABLES_H
+#define POLYPOD_TABLES_H
+#include "numbers.h"
+
+/* Integers at the beginning of the integer table: sizes, settings, then where lists begin. */
+enum Integer {
+    FLOATING, JOINTS, BLOCKS, CONTACTS, ROWS, SPINS, BODIES, SITES, TREES, STRIDE, FRICTION, HAS_SURFACES,
+    HAS_SPRINGS, HAS_DELAY, AGES, PAIRS, GROUPS, COLLIDERS, DECIMATION, ITERATIONS, MEASURES, CHECK_INTERVAL,
+    MAX_EXTRA_ROUNDS, SWEEPS_PER_ROUND, LIMIT_SWEEPS, PUSH_SWEEPS, HAS_GROUND, LINK_FORCES,
+    /* the height grid: whether there is one, points along x and y; of links' and of candidates' squares
+     * the points along an edge, numbers along x and y, and where their heights begin */
+    HAS_GRID, GRID_SIZE, GRID_SQUARES = GRID_SIZE + 2, GRID_END = GRID_SQUARES + 7,
+    /* lists of integers */
+    T_JOINT, T_BLOCK, T_CARRIER, T_TREE, T_SLOT, T_PATH, T_CONTACT, T_LINK_CONTACTS, T_SITE, T_COLLIDER,
+    T_LINK_COLLIDERS, T_PAIR, T_GROUP, T_FORCE,
+    /* lists in the table of numbers */
+    C_AXIS, C_RIM, C_BOX,
+    /* columns of parameters */
+    P_OFFSET, P_MASS, P_COM, P_INERTIA, P_STIFFNESS, P_DAMPING, P_EFFORT_LIMIT, P_SATURATION_EFFORT,
+    P_MOTOR_VELOCITY_LIMIT, P_ARMATURE, P_JOINT_DAMPING, P_JOINT_FRICTION, P_SPRING, P_LOWER, P_UPPER,
+    P_VELOCITY_LIMIT, P_CONTACT_POSITION, P_CONTACT_RADIUS, P_CONTACT_RIM, P_CONTACT_FRICTION, P_LINK_BOX,
+    P_COLLIDER_CENTRE, P_COLLIDER_HALF, P_COLLIDER_RADIUS, P_SITE_POSITION, P_STATIC_FRICTION,
+    P_DYNAMIC_FRICTION, P_RESTITUTION, P_TORSIONAL_FRICTION, P_ROLLING_FRICTION,
+    /* columns of the state, the drive and the report */
+    S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_IMPULSE, S_BOUND,
+    D_TARGET, D_DELAY, D_FEEDFORWARD, D_FORCE, D_TORQUE, D_ORIGIN, D_LINK_FORCE,
+    R_EFFORT, R_ACCELERATION, R_BODY_FORCE, R_NORMAL_FORCE, R_DEMANDS, R_SITE_POSITION, R_SITE_VELOCITY,
+    /* columns of the workspace */
+    W_LINK, W_DYNAMICS, W_BIAS, W_FACTOR, W_COUPLING, W_ROOT, W_RHS, W_EFFORT, W_SLOPE, W_TARGET, W_JOINTS, W_MOVED,
+    W_ROW, W_FURTHER, W_SPIN, W_SPIN_FURTHER, W_BOUND, W_BOUND_FURTHER, W_COLLIDER, W_LINK_BOX,
+    /* columns of integers of the workspace */
+    I_ROW, I_BOUND, I_PLACED,
+    NUM_INTEGERS
+};
+
+/* Numbers at the beginning of the table of numbers: the settings. */
+enum Number {
+    DT, GRAVITY, LOOK_AHEAD = GRAVITY + 3, IMPLICIT_STIFFNESS, SPRING_STIFFNESS, CORRECTION, MAX_PUSH,
+    BOUNCE_SPEED, GROUND_MARGIN, GROUND_REACH, PAIR_REACH, PAIR_ROUNDING, LIMIT_REACH, MAX_LIMIT_REACH,
+    VELOCITY_LIMIT_SHARE, GROUND_COMPLIANCE, PAIR_COMPLIANCE, MIN_TANGENT_COMPLIANCE, PENETRATION_SLOP,
+    LIMIT_SLOP, MIN_CHANGE_SQUARED, SETTLED_CHANGE, DEEP_PUSH, SETTLED_CHANGE_DEEP, LEAST_BOUND, MOST_BOUND,
+    MIN_FOLLOWING_RESPONSE, TURN_BACK_SHARE, LIMIT_TOLERANCE, PUSH_TOLERANCE, PLANE_OFFSET, PLANE,
+    GRID_ORIGIN = PLANE + 9, GRID_CELL = GRID_ORIGIN + 2, GRID_INVERSE_CELL, GRID_HIGHEST,
+    NUM_NUMBERS
+};
+
+/* Sizes of the entries of lists. */
+enum Size {
+    JOINT_SIZE = 6,   /* parent, slides, axis (3: any), explicit, effort table (0: none), its length */
+    AXIS_SIZE = 4,    /* direction, sign */
+    BLOCK_SIZE = 7,   /* joints (3), length, number of carriers, first carrier, first coupling */
+    CARRIER_SIZE = 2, /* block, count */
+    PART_SIZE = 4,    /* block, count, number of carriers, where their places in the path are */
+    CONTACT_SIZE = 3, /* link, body, whether it is on a rim */
+    RIM_SIZE = 8,     /* two unit vectors, cosine and sine */
+    COLLIDER_SIZE = 3, /* link, body, whether it is a box */
+    PAIR_SIZE = 8,    /* colliders (2), bodies (2), parts of the capsule, path, first impulse; of each
+                       * joint on the path which of the two it carries: first 2, second 0, both 1 */
+    GROUP_SIZE = 4,   /* links (2), first pair, pairs */
+    LINK_FORCE_SIZE = 10,
+    LINK_SIZE = 30, LINK_POSITION = 9, LINK_VELOCITY = 12, LINK_FREE = 18, LINK_AXIS = 24,
+    DYNAMICS_SIZE = 22, DYNAMICS_INERTIA = 6, DYNAMICS_FORCE = 16,
+    FACTOR_SIZE = 24, FACTOR_INNER = 3, FACTOR_BASE = 6,
+    /* rows: base (18), own (9); of a contact then the numbers below */
+    ROW_OWN = 18, ROW_COUPLING = 27, ROW_INVERSE = 30, ROW_ACROSS = 33, ROW_STICKING = 35, ROW_DIAGONAL = 38,
+    ROW_SOFTNESS, ROW_SLIDE, ROW_TARGET, ROW_IMPULSE, ROW_LAST_CHANGE = ROW_IMPULSE + 3, ROW_PUSH,
+    ROW_PUSH_IMPULSE, ROW_FRAME, ROW_SIZE = ROW_FRAME + 9,
+    ROW_INTEGERS = 3, /* contact, path; pair, or -1 on the ground */
+    SPIN_ROLL = 33, SPIN_IMPULSE = 34, SPIN_SIZE = 37,
+    BOUND_FRICTION = 30, BOUND_JOINT = 33, BOUND_JOINT_SIZE = 8, BOUND_SIZE = 57,
+    BOUND_INTEGERS = 8, /* limits, active; of each joint limits, has friction */
+    PLACED_SIZE = 19, PLACED_HALF = 3, PLACED_RADIUS = 6, PLACED_ROTATION = 7, PLACED_EXTENT = 16,
+    LINK_BOX_SIZE = 7
+};
+
+/* A robot of a block: its tables and its place in the columns. */
+typedef struct {
+    const int *t;   /* table of integers */
+    const float *c; /* table of numbers */
+    const float *p; /* parameters: of its own, or shared by the block */
+    size_t ps;
+    float *s, *r, *w; /* state, report, workspace */
+    const float *d;   /* drive */
+    const float *grid; /* heights [x][y], then the squares' largest heights */
+    int *ri, *wi;     /* touched bodies; integers of the workspace */
+    size_t n;         /* robots of the block */
+    /* numbers of the present physics step that every part reads */
+    float base_rotation[9], bias_base[6], velocity_base[6];
+    float g[36], root[12]; /* base block of the factor, and roots of its diagonal */
+    float y[6], moved[6];  /* base's part of the sparse velocity */
+    float violation, compliance;
+    int num_contacts, num_spins;
+} Robot;
+
+#define T(k) (a->t[k])
+#define TC(k) (a->c[k])
+#define P(k) (a->p[(size_t)(k) * a->ps])
+#define S(k) (a->s[(size_t)(k) * a->n])
+#define D(k) (a->d[(size_t)(k) * a->n])
+#define R(k) (a->r[(size_t)(k) * a->n])
+#define W(k) (a->w[(size_t)(k) * a->n])
+#define I(k) (a->wi[(size_t)(k) * a->n])
+#define TOUCHED(k) (a->ri[(size_t)(k) * a->n])
+
+FN void p_load(const Robot *a, int at, int n, float *o) {
+    for (int i = 0; i < n; i++) o[i] = P(at + i);
+}
+FN void s_load(const Robot *a, int at, int n, float *o) {
+    for (int i = 0; i < n; i++) o[i] = S(at + i);
+}
+FN void d_load(const Robot *a, int at, int n, float *o) {
+    for (int i = 0; i < n; i++) o[i] = D(at + i);
+}
+FN void w_load(const Robot *a, int at, int n, float *o) {
+    for (int i = 0; i < n; i++) o[i] = W(at + i);
+}
+FN void w_store(Robot *a, int at, int n, const float *x) {
+    for (int i = 0; i < n; i++) W(at + i) = x[i];
+}
+#define LINK(l) (T(W_LINK) + (l) * LINK_SIZE)
+#define BLOCK_AT(b) (T(T_BLOCK) + (b) * BLOCK_SIZE)
+#define FACTOR(b) (T(W_FACTOR) + (b) * FACTOR_SIZE)
+#define COUPLING(c) (T(W_COUPLING) + (c) * 9)
+#define ROOT(b) (T(W_ROOT) + (b) * 6)
+/* a path: its number of parts, and the first of them */
+#define PATH_PARTS(path) (T(T(T_PATH) + 2 * (path)))
+#define PATH_FIRST(path) (T(T(T_PATH) + 2 * (path) + 1))
+#define PART(path, i) (PATH_FIRST(path) + (i) * PART_SIZE)
+#endif

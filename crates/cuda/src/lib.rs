@@ -1,0 +1,28 @@
+#![doc = include_str!("../README.md")]
+#![deny(unsafe_code)]
+#![warn(missing_docs)]
+
+mod columns;
+#[cfg(feature = "host")]
+mod host;
+mod layout;
+mod tables;
+
+pub use columns::{Block, Parts};
+pub use tables::{Scene, Unsupported};
+
+/// The text of the device, file by file: its name and its contents. `step.cu` includes the others.
+pub const DEVICE_TEXT: [(&str, &str); 12] = [
+    ("step.cu", include_str!("../device/step.cu")),
+    ("step.h", include_str!("../device/step.h")),
+    ("solver.h", include_str!("../device/solver.h")),
+    ("bounds.h", include_str!("../device/bounds.h")),
+    ("pairs.h", include_str!("../device/pairs.h")),
+    ("terrain.h", include_str!("../device/terrain.h")),
+    ("ground.h", include_str!("../device/ground.h")),
+    ("rows.h", include_str!("../device/rows.h")),
+    ("kinematics.h", include_str!("../device/kinematics.h")),
+    ("factor.h", include_str!("../device/factor.h")),
+    ("tables.h", include_str!("../device/tables.h")),
+    ("numbers.h", include_str!("../device/numbers.h")),
+];

@@ -1,0 +1,214 @@
+//! The text of the device, compiled for the host, gives the bits of the kernels of
+//! `polypod-dynamics`: all robots of the library fall onto the ground and move about on it, and
+//! state and report are compared after each physics step.
+
+mod scenes;
+
+use polypod::dynamics::{
+    ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
+    NetworkProgram, Parameters, Plane, Report, State, StepSettings, Terrain, Topology, Workspace,
+};
+use polypod_cuda::{Block, Scene, Unsupported};
+use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground};
+
+/// Robots of a block.
+const ENVS: usize = 3;
+
+fn bits<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> Vec<u32> {
+    numbers.into_iter().map(|x| x.to_bits()).collect()
+}
+
+/// Names and bits of all numbers of a state and a report.
+fn named_bits(state: &State<f32>, report: &Report<f32>) -> [(&'static str, Vec<u32>); 15] {
+    [
+        ("position", bits(&state.position)),
+        ("rotation", bits(&state.rotation)),
+        ("linear velocity", bits(&state.linear_velocity)),
+        ("angular velocity", bits(&state.angular_velocity)),
+        ("joint position", bits(&state.joint_position)),
+        ("joint velocity", bits(&state.joint_velocity)),
+        ("impulse", bits(state.impulse.as_flattened())),
+        ("bound impulse", bits(&state.bound_impulse)),
+        ("joint effort", bits(&report.joint_effort)),
+        ("joint acceleration", bits(&report.joint_acceleration)),
+        ("body force", bits(report.body_force.as_flattened())),
+        ("normal force", bits(report.normal_force.iter().flatten())),
+        ("touched", report.touched.iter().map(|&touched| u32::from(touched)).collect()),
+        ("demands", bits(&report.demands)),
+        ("sites", bits(report.site_position.as_flattened().iter().chain(report.site_velocity.as_flattened()))),
+    ]
+}
+
+/// Counts of events in a run, so that a test sees that it met its subject.
+#[derive(Default, Debug)]
+struct Met {
+    contacts: usize,
+    limits: usize,
+    pushes: usize,
+    pairs: usize,
+}
+
+/// Steps the robots of a morphology on both sides and compares them after each physics step. The
+/// last robot of the block reads separate parameters.
+fn compare(
+    robot: &Robot,
+    contact: ContactSettings,
+    terrain: Option<&HeightGrid>,
+    link_forces: &[(usize, bool)],
+    steps: usize,
+) -> Met {
+    let Robot { name, topology, nominal } = robot;
+    let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact };
+    let scene = Scene { terrain, ages: 2, link_forces, ..Scene::default() };
+    let mut random = Random(name.bytes().map(u64::from).sum());
+    let mut block = Block::new(topology, &settings, &scene, ENVS).unwrap();
+    block.share_parameters(nominal);
+    let mut parameters = vec![nominal.clone(); ENVS];
+    parameters[ENVS - 1].zip_with(nominal, |own, number| *own = number * (1.0 + 0.01 * random.next()));
+    block.write_parameters(ENVS - 1, &parameters[ENVS - 1]);
+    let mut states: Vec<_> = (0..ENVS).map(|_| random_state(robot, &mut random)).collect();
+    let mut drives = vec![Drive::zeros(topology, scene.ages); ENVS];
+    for drive in &mut drives {
+        drive.link_forces = link_forces.iter().map(|&key| LinkForce::zero(key)).collect();
+    }
+    let mut reports = vec![Report::zeros(topology, settings.decimation); ENVS];
+    // a workspace remembers the base's colliders from one physics step to the next
+    let mut work = vec![Workspace::new(topology); ENVS];
+    let origins: Vec<[f32; 2]> = (0..ENVS).map(|_| [random.next(), random.next()]).collect();
+    let mut met = Met::default();
+    let num_parts: usize = topology.pairs.iter().map(|pair| pair.spans.len()).sum();
+    let of_pairs = topology.contacts.len()..topology.contacts.len() + num_parts;
+    states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
+    let (mut state, mut report) = (State::zeros(topology), Report::zeros(topology, settings.decimation));
+    for step in 0..steps {
+        for env in 0..ENVS {
+            randomise_drive(robot, &mut drives[env], &mut random);
+            block.write_drive(env, &drives[env], origins[env]);
+        }
+        for substep in 0..settings.decimation {
+            assert!(block.step_on_host(substep..substep + 1));
+            for env in 0..ENVS {
+                ControlStep {
+                    topology,
+                    settings: &settings,
+                    terrain: terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
+                    parameters: &parameters[env],
+                    kind: None,
+                    drive: &drives[env],
+                    substeps: substep..substep + 1,
+                    state: &mut states[env],
+                    report: &mut reports[env],
+                    work: &mut work[env],
+                }
+                .run();
+                let pressing = |contact: &&u32| of_pairs.contains(&(**contact as usize));
+                met.pairs += states[env].pressing.iter().filter(pressing).count();
+                block.read_state(env, &mut state);
+                block.read_report(env, &mut report);
+                let pairs = named_bits(&states[env], &reports[env]).into_iter().zip(named_bits(&state, &report));
+                for ((what, ours), (_, theirs)) in pairs {
+                    let place = ours.iter().zip(&theirs).position(|(a, b)| a != b);
+                    if let Some(at) = place {
+                        let [a, b] = [ours[at], theirs[at]].map(f32::from_bits);
+                        panic!(
+                            "{name}, step {step}.{substep}, env {env}: {what} {at} is {a:e} and on the device {b:e}"
+                        );
+                    }
+                }
+            }
+        }
+        for report in &reports {
+            let (bodies, rest) = report.demands.split_at(topology.num_bodies);
+            met.contacts += usize::from(bodies.iter().any(|&x| x > 0.0));
+            met.limits += usize::from(rest[..rest.len() - 1].iter().any(|&x| x > 0.0));
+            met.pushes += usize::from(rest[rest.len() - 1] > 0.0);
+        }
+    }
+    for state in &states {
+        assert!(state.position.iter().all(|x| x.is_finite()), "{name}: the state is not finite");
+    }
+    met
+}
+
+#[test]
+fn of_all_robots_on_a_plane() {
+    let (mut limits, mut pairs) = (0, 0);
+    for robot in library(true) {
+        let met = compare(&robot, ContactSettings::default(), None, &[], 50);
+        assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
+        limits += usize::from(met.limits > 0);
+        pairs += usize::from(met.pairs > 0);
+    }
+    assert!(limits > 15, "only {limits} robots were at joint limits");
+    assert!(pairs > 15, "links of only {pairs} robots touched each other");
+}
+
+#[test]
+fn on_ground_that_resists_turning_and_gives_back_what_falls() {
+    for (index, mut robot) in library(false).into_iter().enumerate() {
+        robot.topology.friction = [ContactFriction::Torsional, ContactFriction::Rolling][index % 2];
+        robot.nominal.torsional_friction = 0.02;
+        robot.nominal.rolling_friction = 0.01;
+        robot.nominal.restitution = 0.4;
+        let met = compare(&robot, ContactSettings::default(), None, &[], 15);
+        assert!(met.contacts > 0, "{}: {met:?}", robot.name);
+    }
+}
+
+#[test]
+fn with_springs_surfaces_and_forces_on_links_on_a_slope() {
+    for mut robot in library(false) {
+        let joints = robot.topology.num_joints();
+        robot.topology.has_springs = true;
+        robot.topology.has_surfaces = true;
+        robot.topology.has_delay = true;
+        robot.topology.joints.iter_mut().step_by(2).for_each(|joint| joint.explicit = true);
+        robot.nominal.spring = vec![[8.0, 0.4]; joints].into();
+        robot.nominal.contact_friction = vec![[0.5, 0.01, 0.0]; robot.topology.contacts.len()].into();
+        robot.nominal.joint_friction.iter_mut().for_each(|friction| *friction += 0.1);
+        let (s, c) = 0.2f64.sin_cos();
+        let ground = Some(Plane { normal: [0.6 * s, 0.8 * s, c], offset: -0.1 });
+        let contact = ContactSettings { ground, iterations: 6, ..ContactSettings::default() };
+        let met = compare(&robot, contact, None, &[(0, true), (joints, false)], 15);
+        assert!(met.contacts > 0, "{}: {met:?}", robot.name);
+    }
+}
+
+#[test]
+fn of_all_robots_on_rough_ground() {
+    let grid = rough_ground(&mut Random(3));
+    for (index, mut robot) in library(false).into_iter().enumerate() {
+        robot.topology.friction = [ContactFriction::Sliding, ContactFriction::Rolling][index % 2];
+        robot.nominal.rolling_friction = 0.01;
+        let met = compare(&robot, ContactSettings::default(), Some(&grid), &[], 25);
+        assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
+    }
+}
+
+#[test]
+fn of_robots_that_are_fixed_or_fly() {
+    for mut robot in library(false) {
+        let no_ground = ContactSettings { ground: None, ..ContactSettings::default() };
+        compare(&robot, no_ground, None, &[], 10);
+        robot.topology.floating = false;
+        compare(&robot, ContactSettings::default(), None, &[], 10);
+    }
+}
+
+#[test]
+fn networks_are_refused_by_name() {
+    let program = NetworkProgram::new(1, 1, 0, 0, Vec::new()).unwrap();
+    let input = NetworkInput { is_velocity: false, age: 0, scale: 1.0 };
+    let network = ActuatorNetwork::new(vec![0], vec![input], 1.0, program).unwrap();
+    let scene = Scene { networks: &[network], ..Scene::default() };
+    let settings =
+        StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
+    let topology = Topology::new(true, Vec::new(), Vec::new(), 1, Vec::new(), false);
+    assert_eq!(Block::new(&topology, &settings, &scene, 1).err(), Some(Unsupported::Networks));
+    assert!(Unsupported::Networks.to_string().contains("actuator networks"));
+    // without parameters, or beyond the control step, a step is refused too
+    let mut block = Block::new(&topology, &settings, &Scene::default(), 1).unwrap();
+    assert!(!block.step_on_host(0..1));
+    block.share_parameters(&Parameters::zeros(&topology));
+    assert!(!block.step_on_host(0..5) && block.step_on_host(0..4));
+}

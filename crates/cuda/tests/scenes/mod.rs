@@ -1,0 +1,124 @@
+//! Robots, states, commands and ground of the tests and of the reference for a GPU.
+
+#![allow(dead_code, reason = "each of its users needs a part of it")]
+
+use polypod::config::Library;
+use polypod::dynamics::{Drive, HeightGrid, Parameters, State, Topology};
+use polypod::{Sim, SimOptions};
+
+/// Random numbers, the same on every machine.
+pub struct Random(pub u64);
+
+impl Random {
+    /// A number from -1 to 1.
+    pub fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+}
+
+/// A morphology of the library.
+pub struct Robot {
+    pub name: String,
+    pub topology: Topology,
+    pub nominal: Parameters<f32>,
+}
+
+/// All morphologies; `touching`: with contacts between the links of every robot.
+pub fn library(touching: bool) -> Vec<Robot> {
+    let library = Library::new(Vec::new());
+    let names: Vec<String> = library.robots().unwrap().iter().map(|robot| robot.name.clone()).collect();
+    assert!(names.len() >= 25, "the library has {} robots", names.len());
+    let options = SimOptions {
+        robots: Some(names.clone()),
+        threads: Some(1),
+        overrides: names.iter().map(|name| format!("robot_overrides.{name}.self_collisions={touching}")).collect(),
+        ..SimOptions::new("velocity_flat_legged_play", names.len())
+    };
+    let sim = Sim::new(&options).unwrap();
+    let morphologies = sim.morphologies().iter().zip(names);
+    morphologies
+        .map(|(morphology, name)| Robot {
+            name,
+            topology: morphology.topology.clone(),
+            nominal: morphology.nominal.clone(),
+        })
+        .collect()
+}
+
+/// A robot above the ground, with all joints within their limits.
+pub fn random_state(robot: &Robot, random: &mut Random) -> State<f32> {
+    let mut state = State::zeros(&robot.topology);
+    state.position = [random.next(), random.next(), 0.5 + 0.3 * random.next()];
+    let q: [f32; 4] = [1.0, 0.5 * random.next(), 0.5 * random.next(), random.next()];
+    let norm = q.iter().map(|x| x * x).sum::<f32>().sqrt();
+    state.rotation = q.map(|x| x / norm);
+    state.linear_velocity = std::array::from_fn(|_| random.next());
+    state.angular_velocity = std::array::from_fn(|_| 2.0 * random.next());
+    for j in 0..robot.topology.num_joints() {
+        let (lower, upper) = (robot.nominal.lower[j].max(-1.5), robot.nominal.upper[j].min(1.5));
+        state.joint_position[j] = lower + (upper - lower) * (0.5 + 0.5 * random.next());
+        state.joint_velocity[j] = 2.0 * random.next();
+    }
+    state
+}
+
+/// Commands that change in each control step; now and then they ask for more than motors can give.
+pub fn randomise_drive(robot: &Robot, drive: &mut Drive<f32>, random: &mut Random) {
+    for age in (1..drive.targets.len()).rev() {
+        drive.targets[age] = drive.targets[age - 1].clone();
+    }
+    for j in 0..robot.topology.num_joints() {
+        drive.targets[0][j] = 1.2 * random.next();
+        drive.delay[j] = (3.0 * random.next()).abs().floor();
+        drive.feedforward[j] = 20.0 * random.next().powi(3);
+    }
+    drive.base_force = std::array::from_fn(|_| 60.0 * random.next().powi(5));
+    drive.base_torque = std::array::from_fn(|_| 10.0 * random.next().powi(5));
+    for force in &mut drive.link_forces {
+        force.acts = f32::from(random.next() > 0.0);
+        force.point = std::array::from_fn(|_| 0.1 * random.next());
+        force.force = std::array::from_fn(|_| 20.0 * random.next());
+        force.torque = std::array::from_fn(|_| random.next());
+    }
+}
+
+/// Stairs, slopes, edges and bumps around the origin.
+pub fn rough_ground(random: &mut Random) -> HeightGrid {
+    let size = [161, 121];
+    let mut grid = HeightGrid::level([-4.0, -3.0], 0.05, size, 0.0);
+    for i in 0..size[0] {
+        for j in 0..size[1] {
+            let stairs = 0.1 * (i / 6 % 3) as f32;
+            let slope = 0.01 * (j as f32 - 60.0).abs();
+            grid.set_height(i, j, stairs + slope + 0.03 * random.next());
+        }
+    }
+    grid.note_squares();
+    grid
+}
+
+/// A morphology of the reference task, and how it stands.
+pub struct Standing {
+    pub robot: Robot,
+    pub position: Vec<f32>,
+    pub height: f32,
+}
+
+/// The robots of the reference task, as its config has them.
+pub fn reference_robots() -> Vec<Standing> {
+    let options = SimOptions { threads: Some(1), ..SimOptions::new("velocity_flat_play", 8) };
+    let sim = Sim::new(&options).unwrap();
+    let robots = sim.morphologies().iter().zip(sim.loaded_robots());
+    robots
+        .map(|(morphology, loaded)| Standing {
+            robot: Robot {
+                name: loaded.config.name.clone(),
+                topology: morphology.topology.clone(),
+                nominal: morphology.nominal.clone(),
+            },
+            position: morphology.stance.default_position.to_vec(),
+            height: morphology.stance.spawn_height,
+        })
+        .collect()
+}
