@@ -1,5 +1,4 @@
-//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust;
-//! and compiles the text of the device for the host, where the feature asks for it.
+//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -46,20 +45,4 @@ fn main() {
     if !matches!(written, Some(Ok(()))) {
         println!("cargo::error=device/tables.h: an enumerator is no sum of numbers and earlier names");
     }
-    #[cfg(feature = "host")]
-    compile_for_the_host();
-}
-
-/// Compiles the text as C: single operations in the order in which they stand, none contracted.
-#[cfg(feature = "host")]
-fn compile_for_the_host() {
-    let mut build = cc::Build::new();
-    build.file("device/step.cu").flag("-xc").std("c11").opt_level(2).warnings(true);
-    build.flag("-ffp-contract=off").flag("-fno-math-errno");
-    // without the instruction fmaf is a call, which gives the same bits
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("fma") && env::var("HOST") == env::var("TARGET") {
-        build.flag("-mfma");
-    }
-    build.compile("polypod_cuda_host");
 }

@@ -154,7 +154,7 @@ impl Run<'_> {
                     settings: &settings,
                     terrain: self.terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
                     parameters: &parameters[env],
-                    kind: None,
+                    nominal: None,
                     drive: &drives[env],
                     substeps: 0..settings.decimation,
                     state: &mut states[env],

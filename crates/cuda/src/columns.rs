@@ -179,8 +179,7 @@ impl Block {
 
     /// Whether these are physics steps of a control step, and the robots have parameters: else a
     /// kernel would read beyond its arrays.
-    #[cfg_attr(not(feature = "host"), allow(dead_code, reason = "the host's step asks it"))]
-    pub(crate) fn may_step(&self, substeps: &Range<usize>) -> bool {
+    pub fn may_step(&self, substeps: &Range<usize>) -> bool {
         let decimation = usize::try_from(self.tables.integers[DECIMATION]).unwrap_or(0);
         substeps.end <= decimation && !self.parameters.is_empty()
     }

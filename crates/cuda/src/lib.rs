@@ -3,8 +3,6 @@
 #![warn(missing_docs)]
 
 mod columns;
-#[cfg(feature = "host")]
-mod host;
 mod layout;
 mod tables;
 

@@ -9,6 +9,7 @@ use polypod::dynamics::{
     NetworkProgram, Parameters, Plane, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
 use polypod_cuda::{Block, Scene, Unsupported};
+use polypod_cuda_host::step_on_host;
 use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground};
 
 /// Robots of a block.
@@ -86,14 +87,14 @@ fn compare(
             block.write_drive(env, &drives[env], origins[env]);
         }
         for substep in 0..settings.decimation {
-            assert!(block.step_on_host(substep..substep + 1));
+            assert!(step_on_host(&mut block, substep..substep + 1));
             for env in 0..ENVS {
                 ControlStep {
                     topology,
                     settings: &settings,
                     terrain: terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
                     parameters: &parameters[env],
-                    kind: None,
+                    nominal: None,
                     drive: &drives[env],
                     substeps: substep..substep + 1,
                     state: &mut states[env],
@@ -208,7 +209,7 @@ fn networks_are_refused_by_name() {
     assert!(Unsupported::Networks.to_string().contains("actuator networks"));
     // without parameters, or beyond the control step, a step is refused too
     let mut block = Block::new(&topology, &settings, &Scene::default(), 1).unwrap();
-    assert!(!block.step_on_host(0..1));
+    assert!(!step_on_host(&mut block, 0..1));
     block.share_parameters(&Parameters::zeros(&topology));
-    assert!(!block.step_on_host(0..5) && block.step_on_host(0..4));
+    assert!(!step_on_host(&mut block, 0..5) && step_on_host(&mut block, 0..4));
 }
