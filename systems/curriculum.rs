@@ -32,15 +32,18 @@ pub fn place_envs(
 ) -> Result {
     let scene = &task.config.scene;
     let total = share.num_envs;
-    let own = envs.write()?.into_iter().flat_map(|Block { rows: (origins, rngs), .. }| origins.iter_mut().zip(rngs));
-    for ((env, (origin, rng)), index) in share.envs.clone().zip(own).zip(share.places(&blocks)) {
+    let own = envs.write()?.into_iter().flat_map(|Block { morphology, rows: (origins, rngs), .. }| {
+        origins.iter_mut().zip(rngs).map(move |(origin, rng)| (usize::from(morphology.0), origin, rng))
+    });
+    for ((env, (robot, origin, rng)), index) in share.envs.clone().zip(own).zip(share.places(&blocks)) {
         *origin = EnvOrigin::default();
         if let Some(layout) = &ground.layout {
             let contiguous = scene.terrain.as_ref().is_some_and(|terrain| terrain.columns == Columns::Contiguous);
-            origin.terrain_column = match contiguous {
-                true => (env * layout.num_cols as usize / total.max(1)) as u32,
+            let column = match contiguous {
+                true => (env * layout.cols_per_scale as usize / total.max(1)) as u32,
                 false => layout.column_of(index),
             };
+            origin.terrain_column = layout.first_column(robot) + column;
             let level = rng.integer([0, layout.max_init_level]);
             origin.move_to(layout, level);
         } else if scene.placement == Placement::Global {

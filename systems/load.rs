@@ -140,7 +140,8 @@ fn load_into(world: &mut World) -> Result<(), Error> {
 /// rays, late targets and the memory of actuator networks.
 fn bytes_per_env(morphology: &MorphologyModel, task: &CompiledTask) -> usize {
     let sensors = &task.config.sensors;
-    let rays = sensors.height_scanner.as_ref().map_or(0, |scanner| scanner.counts().iter().product());
+    let rays: usize = sensors.height_scanner.as_ref().map_or(0, |scanner| scanner.counts().iter().product());
+    let rays = rays + sensors.ray_caster_camera.as_ref().map_or(0, |camera| camera.pattern_cfg.num_pixels());
     let late = history_length(morphology.max_delay(), task.config.sim.decimation as usize);
     // a row of observations is held twice, and the last one of an episode once more
     let numbers = [task.num_obs(); 3].into_iter().chain([rays, late * morphology.topology.num_joints()]);

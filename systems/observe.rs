@@ -118,7 +118,10 @@ impl Kernel<f32> for Observation<'_> {
         let mut rest = self.out;
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
-            if let Some(write) = &term.write {
+            if term.spec.kind == TermKind::Image && view.image.is_empty() {
+                // no noise where there is no camera
+                mine.fill(0.0);
+            } else if let Some(write) = &term.write {
                 let (robot, columns) = (view.morphology, self.task.num_joints);
                 term.observe(mine, self.episode.fresh, (robot, columns), self.rng, |newest| write(&view, newest));
             }

@@ -12,7 +12,7 @@ use crate::components::{
     Action, ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, Body, Command, CommandNumbers, ConstraintImpulses,
     ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode, EpisodeSums, EventTimers,
     ExternalWrench, Feet, HeightScan, Imu, JointDescriptors, JointEffort, JointState, JointTargets, LinkForces,
-    Morphology, Stance, StartupBody,
+    Morphology, RayCasterCamera, Stance, StartupBody,
 };
 use crate::config::TaskConfig;
 use crate::error::Error;
@@ -335,6 +335,15 @@ impl Saved for ContactSensor {
 impl Saved for JointDescriptors {
     fn fits(&self, present: &Self, _: &Place) -> bool {
         self.numbers.len() == present.numbers.len()
+    }
+}
+
+impl Saved for RayCasterCamera {
+    fn fits(&self, present: &Self, _: &Place) -> bool {
+        self.most_delay == present.most_delay
+            && self.delay <= self.most_delay
+            && self.late.len() == self.delay as usize
+            && self.shown.is_some()
     }
 }
 

@@ -5,6 +5,7 @@ use bevy_ecs::prelude::*;
 
 use super::terms::CompiledTask;
 use super::{Setup, SetupSet};
+use crate::morphology::{Morphologies, MorphologyModel};
 use crate::world;
 
 /// Adds Avian with the task's ground, terrain, obstacles and gravity.
@@ -20,7 +21,8 @@ impl Plugin for WorldPlugin {
 
 fn build_world(world: &mut World) -> Result {
     let config = world.resource::<CompiledTask>().config.clone();
-    let ground = world::build(world, &config)?;
+    let legs: Vec<f64> = world.resource::<Morphologies>().0.iter().map(MorphologyModel::leg_length).collect();
+    let ground = world::build(world, &config, &legs)?;
     world.insert_resource(ground);
     Ok(())
 }

@@ -37,6 +37,9 @@ pub struct RobotView<'a> {
     /// Heights of the ground where the height scanner's rays hit it, m; empty where the task has
     /// none.
     pub height_scan: &'a [f32],
+    /// Distances of the pixels of its depth camera, rows from top to bottom, m; empty where it has
+    /// none.
+    pub image: &'a [f32],
     /// Descriptions of its joints, see [`JointDescriptors`](crate::components::JointDescriptors);
     /// empty where the task does not observe them.
     pub joint_descriptors: &'a [f32],

@@ -9,7 +9,7 @@ use super::view::RobotView;
 use crate::blocks::{Block, BlockIter, Blocks};
 use crate::components::{
     Action, BasePose, BaseVelocity, Body, Command, CommandNumbers, ContactSensor, Env, EnvOrigin, Feet, HeightScan,
-    Imu, JointDescriptors, JointEffort, JointState, Robot, Stance,
+    Imu, JointDescriptors, JointEffort, JointState, RayCasterCamera, Robot, Stance,
 };
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
@@ -27,6 +27,7 @@ pub(super) struct ViewParam<'w, 's> {
     imus: Blocks<'w, 's, &'static Imu, Imu>,
     contacts: Blocks<'w, 's, &'static ContactSensor, ContactSensor>,
     scans: Blocks<'w, 's, &'static HeightScan, HeightScan>,
+    images: Blocks<'w, 's, &'static RayCasterCamera, RayCasterCamera>,
     descriptors: Blocks<'w, 's, &'static JointDescriptors, JointDescriptors>,
 }
 
@@ -45,8 +46,9 @@ type RobotColumns = (
 impl ViewParam<'_, '_> {
     pub(super) fn views(&self, step_dt: f32) -> Result<BlockIter<impl Iterator<Item = Block<Views<'_>>>>, Error> {
         let of_all = self.robots.read()?.zip(self.envs.read()?).zip(self.imus.read()?).zip(self.contacts.read()?);
-        let blocks = of_all.zip_some(self.scans.read_some()?).zip_some(self.descriptors.read_some()?);
-        Ok(blocks.map(move |morphology, (((((robots, envs), imus), contacts), scans), descriptors)| {
+        let blocks = of_all.zip_some(self.scans.read_some()?).zip_some(self.images.read_some()?);
+        let blocks = blocks.zip_some(self.descriptors.read_some()?);
+        Ok(blocks.map(move |morphology, ((((((robots, envs), imus), contacts), scans), images), descriptors)| {
             let (poses, velocities, joints, efforts, actions, feet, bodies, stances) = robots;
             let (commands, numbers, origins) = envs;
             Views {
@@ -66,6 +68,7 @@ impl ViewParam<'_, '_> {
                 contacts,
                 feet,
                 scans: scans.unwrap_or_default(),
+                images: images.unwrap_or_default(),
                 descriptors: descriptors.unwrap_or_default(),
                 bodies,
                 stances,
@@ -95,6 +98,7 @@ pub(super) struct Views<'a> {
     contacts: &'a [ContactSensor],
     feet: &'a [Feet],
     scans: &'a [HeightScan],
+    images: &'a [RayCasterCamera],
     descriptors: &'a [JointDescriptors],
     bodies: &'a [Body],
     stances: &'a [Stance],
@@ -125,6 +129,7 @@ impl<'a> Views<'a> {
             contacts: &self.contacts[row],
             feet: &self.feet[row],
             height_scan: self.scans.get(row).map_or(&[], |scan| &scan.hits),
+            image: self.images.get(row).map_or(&[], |camera| &camera.depth),
             joint_descriptors: self.descriptors.get(row).map_or(&[], |of| &of.numbers),
             body: &self.bodies[row].0,
             stance: &self.stances[row],

@@ -194,6 +194,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 contacts: &h.contacts,
                 feet: &h.feet,
                 height_scan: &[],
+                image: &[],
                 joint_descriptors: &[],
                 body: &model.nominal,
                 stance: &model.stance,

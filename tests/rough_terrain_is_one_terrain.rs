@@ -139,7 +139,7 @@ fn tiles_have_the_figures_of_the_task() {
                 let top = at(o, 0.0, 0.0);
                 assert!((at(o, 0.9, 0.0) - top).abs() < 1e-5 && (at(o, 0.0, -0.9) - top).abs() < 1e-5);
             }
-            SubTerrainShape::Flat {} => unreachable!("the task has no flat tiles"),
+            shape => unreachable!("the task has no tile {shape:?}"),
         }
     }
 }

@@ -26,6 +26,7 @@ KINDS = {
     "observation_of": "observations",
     "joint_observation": "observations",
     "foot_observation": "observations",
+    "sensor_observation": "observations",
     "termination": "terminations",
     "body_event": "events",
     "reset_event": "events",
@@ -152,11 +153,11 @@ class Reader:
             if found[1][0].isupper():
                 return found[1]
         # the first one of two functions reads the parameters
-        for function in re.findall(r"\b([a-z_0-9]+)(?=[,)]|$)", call):
+        for function in re.findall(r"(?<!::)\b([a-z_0-9]+)(?=[,)]|$)", call):
             is_used = re.search(rf"^use .*\b{function}\b", content, re.MULTILINE)
             for text in self.files.values() if is_used else (content,):
                 signature = re.search(rf"fn {function}(?:<[^>]*>)?\(\s*\w+: &?(\w+),", text)
-                if signature and signature[1] not in TYPES:
+                if signature and signature[1] not in (*TYPES, "RobotView"):
                     return signature[1]
         return None
 

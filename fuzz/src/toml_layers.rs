@@ -84,11 +84,13 @@ fn resolve(overrides: Vec<String>) -> bool {
 }
 
 fn is_small(config: &TaskConfig) -> bool {
-    let rays = config.sensors.height_scanner.as_ref().map_or(1, |scanner| scanner.counts().iter().product());
+    let rays: usize = config.sensors.height_scanner.as_ref().map_or(1, |scanner| scanner.counts().iter().product());
+    let pixels = config.sensors.ray_caster_camera.as_ref().map_or(0, |camera| camera.pattern_cfg.num_pixels());
     config.scene.terrain.is_none()
         && config.scene.obstacles.len() <= FEW
         && config.sim.decimation <= 8
         && config.physics.solver_iterations <= 16
         && config.physics.avian_substeps <= 16
         && rays <= 1000
+        && pixels <= 1000
 }

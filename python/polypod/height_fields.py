@@ -1,10 +1,12 @@
 """Height fields of files as the ground of a task: pictures and NumPy arrays.
 
-A field becomes an obstacle of a task's TOML; heights below zero are holes in the ground.
+A field becomes an obstacle of a task's TOML, or several become the levels of its tiles; heights
+below zero are holes in the ground.
 """
 
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +59,12 @@ def read(path: Path, span: tuple[float, float] | None = None) -> Array:
     return heights
 
 
+LEVELS = 10
+"""Levels of tiles of one file, whose heights are scaled."""
+COLUMNS = 4
+"""Tiles of a level: as many envs as one likes share them."""
+
+
 def write_task(out: Path, heights: Array, cell: float, task: str) -> None:
     """Writes a task with these heights as the ground around every env's origin.
 
@@ -69,26 +77,95 @@ def write_task(out: Path, heights: Array, cell: float, task: str) -> None:
     Raises:
         ConfigError: for a cell that is no length, or a file that cannot be written.
     """
+    _write(
+        out,
+        cell,
+        task,
+        f"""[[scene.obstacles]]
+shape = "heightfield"
+position = [0.0, 0.0, 0.0]
+size = {_size(heights, cell)}   # m
+heights = [   # m, one line along x
+{_table(heights)},
+]
+""",
+    )
+
+
+def write_tiles(
+    out: Path, fields: Sequence[Array], cell: float, task: str, scale: tuple[float, float] | None, platform: float
+) -> None:
+    """Writes a task whose terrain is tiles of these heights, a level of difficulty each.
+
+    Args:
+        out: the TOML.
+        fields: `[i, j]` in m, see `read`: the easiest first, all of one size.
+        cell: distance of neighbouring heights, m.
+        task: name or alias of the task that it extends.
+        scale: factors of the heights at the easiest and the hardest level. None: 1.
+        platform: edge length of the level square in the middle, m.
+
+    Raises:
+        ConfigError: for fields of different sizes, for numbers that are no lengths, or a file that
+            cannot be written.
+    """
+    sizes = sorted({field.shape for field in fields})
+    if len(sizes) > 1:
+        (a, b), (c, d) = sizes[:2]
+        raise _core.ConfigError(f"--heights: levels of {a} x {b} and of {c} x {d} heights; make all of one size")
+    extent = _size(fields[0], cell)
+    if not 0.0 <= platform < min(extent):
+        raise _core.ConfigError(f"--platform {platform} must be from 0 to less than the tile's {min(extent)} m")
+    low, high = (1.0, 1.0) if scale is None else scale
+    if not (np.isfinite([low, high]).all() and low <= high):
+        raise _core.ConfigError(f"--scale {low:g} {high:g}: the easiest level's factor comes first")
+    levels = ",\n".join(f"  [\n{_table(field)},\n  ]" for field in fields)
+    _write(
+        out,
+        cell,
+        task,
+        f"""[scene.terrain]
+size = {extent}   # m
+num_rows = {len(fields) if scale is None else max(LEVELS, len(fields))}   # levels
+num_cols = {COLUMNS}
+border_width = 10.0
+
+[[scene.terrain.sub_terrains]]
+name = "heightfield"
+type = "heightfield"
+proportion = 1.0
+height_scale_range = [{float(low)}, {float(high)}]
+platform_width = {float(platform)}
+levels = [   # m, one line along x
+{levels},
+]
+""",
+    )
+
+
+def _size(heights: Array, cell: float) -> list[float]:
+    """Edge lengths of a field, m."""
+    return [round(cell * (count - 1), 9) for count in heights.shape]
+
+
+def _table(heights: Array) -> str:
+    """Rows of a TOML array."""
+    return ",\n".join("    [" + ", ".join(f"{height:.{DIGITS}f}" for height in row) + "]" for row in heights + 0.0)
+
+
+def _write(out: Path, cell: float, task: str, scene: str) -> None:
+    """Writes a task that extends another."""
     if not 1e-3 <= cell <= 100.0:
         raise _core.ConfigError(f"--cell {cell} must be from 0.001 to 100 m")
     if out.suffix.lower() != ".toml":
         raise _core.ConfigError(f"--out {out}: heights become a task; use .toml")
-    size = [round(cell * (count - 1), 9) for count in heights.shape]
-    rows = ",\n".join("    [" + ", ".join(f"{height:.{DIGITS}f}" for height in row) + "]" for row in heights + 0.0)
     words = [word.capitalize() for word in "".join(c if c.isalnum() else " " for c in out.stem).split()]
     # a string of JSON is one of TOML; a path is relative to the file that extends it
     base = json.dumps(str(Path(task).resolve()) if task.endswith(".toml") else task, ensure_ascii=False)
     text = f"""extends = {base}
 name = "{"-".join([*words, "v0"])}"
 
-[[scene.obstacles]]
-shape = "heightfield"
-position = [0.0, 0.0, 0.0]
-size = {size}   # m
-heights = [   # m, one line along x
-{rows},
-]
-"""
+{scene}"""
     try:
         write_text(out, text)
     except OSError as error:

@@ -222,6 +222,12 @@ impl MorphologyModel {
         self.default_height() + self.hip_height
     }
 
+    /// Length by which `scale_by = "leg_length"` scales terrain: the height of the hips above level
+    /// ground in the default pose, m.
+    pub fn leg_length(&self) -> f64 {
+        f64::from(self.default_hip_height())
+    }
+
     /// Largest delay of any target, physics steps.
     pub fn max_delay(&self) -> u32 {
         self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay

@@ -12,10 +12,12 @@ pub mod quantities;
 mod randomization;
 mod robot;
 mod scene;
+mod sensors;
 mod suggest;
 mod surfaces;
 mod task;
 mod terrain;
+mod tiles;
 pub mod values;
 
 pub use error::{ConfigError, ConfigErrorKind};
@@ -31,6 +33,7 @@ pub use robot::{
 };
 pub(crate) use robot::{matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
+pub use sensors::{CameraMountConfig, DepthClipping, DepthData, PinholeCameraPatternConfig, RayCasterCameraConfig};
 pub(crate) use suggest::did_you_mean;
 pub use surfaces::SurfaceConfig;
 pub use task::{
@@ -39,6 +42,10 @@ pub use task::{
     POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VELOCITY_COLUMNS,
     VELOCITY_COMMAND, VelocityCommandConfig,
 };
-pub use terrain::{
-    BoxesConfig, Columns, RoughConfig, SlopeConfig, StairsConfig, SubTerrainConfig, SubTerrainShape, TerrainConfig,
+pub use terrain::{Columns, ScaleBy, SubTerrainConfig, TerrainConfig};
+pub(crate) use tiles::SECOND_STEP;
+pub use tiles::{
+    BeamsConfig, BoxConfig, BoxObjectConfig, BoxesConfig, GapConfig, HeightfieldConfig, MixtureConfig, ObstacleHeight,
+    ObstaclesConfig, PitConfig, RailsConfig, RampsConfig, RepeatedBoxesConfig, RepeatedRoundConfig, RingConfig,
+    RoughConfig, RoundObjectConfig, SlopeConfig, StairsConfig, StarConfig, StonesConfig, SubTerrainShape, WaveConfig,
 };

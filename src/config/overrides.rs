@@ -12,7 +12,7 @@ use super::suggest::did_you_mean;
 const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
-const OPTIONAL: [&str; 2] = ["scene.terrain", "sensors.height_scanner"];
+const OPTIONAL: [&str; 3] = ["scene.terrain", "sensors.height_scanner", "sensors.ray_caster_camera"];
 
 /// Key of the place after the last element of an array.
 const APPEND: &str = "+";

@@ -33,6 +33,14 @@ quantities! {
     Angle: -1000.0 => 1000.0, " rad";
     /// An angle of a base from the vertical that ends an episode.
     Tilt: 0.01 => std::f64::consts::PI, " rad";
+    /// A camera's angle of view.
+    ViewAngle: 0.01 => 3.0, " rad";
+    /// The farthest that a camera sees.
+    CameraRange: 0.01 => 100.0, " m";
+    /// A time by which something is late.
+    Latency: 0.0 => 10.0, " s";
+    /// An angle by which an object on the ground leans.
+    LeanDegrees: 0.0 => 60.0, " degrees";
     /// A place along an axis of the world.
     Coordinate: -1e4 => 1e4, " m";
     /// A length.

@@ -15,6 +15,7 @@ use super::quantities::{
     RotorInertia, Stiffness, TorqueLimit,
 };
 use super::randomization::{RandomizationConfig, VariationConfig};
+use super::sensors::CameraMountConfig;
 use super::suggest::did_you_mean;
 use super::surfaces::SurfaceConfig;
 use super::task::VelocityCommandConfig;
@@ -81,6 +82,10 @@ pub struct RobotConfig {
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BodiesConfig::is_empty")]
     pub bodies: BodiesConfig,
+    /// Where the robot carries a depth camera, for tasks that have one. Default: where the task
+    /// says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<CameraMountConfig>,
     /// ROS package -> folder, for `package://` meshes; relative to the config's folder.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub package_dirs: BTreeMap<String, PathBuf>,

@@ -234,6 +234,11 @@ impl SceneConfig {
             if let Some(problem) = terrain.problem() {
                 return Some(problem);
             }
+            let steps = terrain.edge_step / self.grid_cell;
+            if terrain.has_edges() && (steps - steps.round()).abs() > 1e-6 * steps {
+                let problem = "edges of tiles would lie between the points of the grid, scene.grid_cell apart";
+                return Some(("scene.terrain.edge_step".into(), problem, "write a multiple of scene.grid_cell"));
+            }
             if !self.obstacles.is_empty() && self.placement == Placement::PerEnv {
                 let problem = "obstacles of every env cannot stand on terrain, of which there is one";
                 return Some(("scene.placement".into(), problem, "write scene.placement = \"global\""));

@@ -15,6 +15,7 @@ use super::quantities::{
     Time, Weight,
 };
 use super::scene::{ObstacleConfig, SceneConfig};
+use super::sensors::RayCasterCameraConfig;
 use super::suggest::{did_you_mean, is_slip};
 use super::values;
 use crate::bounds::{MAX_DECIMATION, MAX_EXTERNAL, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
@@ -359,6 +360,9 @@ pub struct SensorsConfig {
     /// Looks at the heights around the base.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_scanner: Option<HeightScannerConfig>,
+    /// Looks at the distances to the ground ahead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ray_caster_camera: Option<RayCasterCameraConfig>,
 }
 
 /// Rays straight down on a grid that follows the base's position and heading.
@@ -663,6 +667,17 @@ impl TaskConfig {
         {
             let element = "sensors.height_scanner".to_owned();
             return invalid(element, "it has more than 10 000 rays", "make it smaller, or raise its resolution in m");
+        }
+        const MOST_PIXELS: usize = 100_000;
+        if let Some(camera) = &self.sensors.ray_caster_camera {
+            let element = "sensors.ray_caster_camera".to_owned();
+            if camera.pattern_cfg.num_pixels() > MOST_PIXELS {
+                let remedy = "lower width or height of its pattern_cfg";
+                return invalid(element, "it has more than 100 000 pixels", remedy);
+            }
+            if camera.min_distance >= camera.max_distance {
+                return invalid(element, "it measures no distance", "write a min_distance below max_distance");
+            }
         }
         if let Some(obstacle) = self.scene.obstacles.iter().position(ObstacleConfig::is_out_of_reach) {
             let problem = "it lies where no robot comes";

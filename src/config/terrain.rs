@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::quantities::{Difficulty, Extent, Height, Length, Proportion, Rise, Slope, Spacing, SteepSlope};
+use super::quantities::{Difficulty, Length, Proportion, Spacing, SteepSlope};
+use super::tiles::SubTerrainShape;
 use super::values;
 
 /// Tiles side by side in a grid about the world's origin: along x they grow harder, along y their
@@ -32,6 +33,27 @@ pub struct TerrainConfig {
     /// 0.75.
     #[serde(default = "slope_threshold", deserialize_with = "values::number_of::<SteepSlope, _, _>")]
     pub slope_threshold: f64,
+    /// Distance of which the edges of gaps, rails, beams and stones are multiples, m: a multiple of
+    /// `scene.grid_cell`, so that both engines stand on the same edges. Default: 0.025.
+    #[serde(
+        default = "edge_step",
+        deserialize_with = "values::number_of::<Length, _, _>",
+        skip_serializing_if = "is_edge_step"
+    )]
+    pub edge_step: f64,
+    /// Length by which the tiles of a robot are scaled: the heights, gaps and widths that change
+    /// with the difficulty. Robots of other scales have other columns. Default: all robots share
+    /// all columns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale_by: Option<ScaleBy>,
+    /// Leg length of the robots for which the ranges of the tiles hold, m; for `scale_by`. Default:
+    /// 0.5.
+    #[serde(
+        default = "reference_leg_length",
+        deserialize_with = "values::number_of::<Length, _, _>",
+        skip_serializing_if = "is_reference_leg_length"
+    )]
+    pub reference_leg_length: f64,
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
     #[serde(default = "difficulty_range", deserialize_with = "values::range_of::<Difficulty, _, _>")]
     pub difficulty_range: [f64; 2],
@@ -58,6 +80,31 @@ pub enum Columns {
     PerRobot,
     /// By an env's index among all: neighbours share a column, so that a robot meets few types.
     Contiguous,
+}
+
+/// Length that scales a robot's tiles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleBy {
+    /// Height of the hips above the ground in the default pose, as a share of
+    /// `reference_leg_length`, to the nearest tenth.
+    LegLength,
+}
+
+fn edge_step() -> f64 {
+    0.025
+}
+
+fn is_edge_step(step: &f64) -> bool {
+    *step == edge_step()
+}
+
+fn reference_leg_length() -> f64 {
+    0.5
+}
+
+fn is_reference_leg_length(length: &f64) -> bool {
+    *length == reference_leg_length()
 }
 
 fn horizontal_scale() -> f64 {
@@ -87,89 +134,6 @@ pub struct SubTerrainConfig {
     /// Shape of the tile.
     #[serde(flatten)]
     pub shape: SubTerrainShape,
-}
-
-/// Shape of a tile. Ranges go from difficulty 0 to difficulty 1, lengths are in m.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
-pub enum SubTerrainShape {
-    /// A plane at height 0.
-    Flat {},
-    /// Square rings of steps that rise towards the middle.
-    PyramidStairs(StairsConfig),
-    /// Square rings of steps that go down towards the middle.
-    PyramidStairsInv(StairsConfig),
-    /// Square blocks of random heights about 0.
-    Boxes(BoxesConfig),
-    /// A height field of random heights.
-    RandomRough(RoughConfig),
-    /// A height field that rises towards the middle.
-    HfPyramidSlope(SlopeConfig),
-    /// A height field that falls towards the middle.
-    HfPyramidSlopeInv(SlopeConfig),
-}
-
-/// Stairs around a platform.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct StairsConfig {
-    /// Height of a step.
-    #[serde(deserialize_with = "values::range_of::<Rise, _, _>")]
-    pub step_height_range: [f64; 2],
-    /// Depth of a step.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub step_width: f64,
-    /// Edge length of the platform in the middle, at least.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub platform_width: f64,
-    /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
-    pub border_width: f64,
-}
-
-/// Blocks around a platform.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct BoxesConfig {
-    /// Edge length of a block.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub grid_width: f64,
-    /// Largest height and depth of a block.
-    #[serde(deserialize_with = "values::range_of::<Rise, _, _>")]
-    pub grid_height_range: [f64; 2],
-    /// Edge length of the platform in the middle; it is as high as the highest block may be.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub platform_width: f64,
-}
-
-/// Random heights. The difficulty changes nothing.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct RoughConfig {
-    /// Smallest and largest height.
-    #[serde(deserialize_with = "values::range_of::<Height, _, _>")]
-    pub noise_range: [f64; 2],
-    /// Heights are the smallest one plus multiples of this.
-    #[serde(deserialize_with = "values::number_of::<Spacing, _, _>")]
-    pub noise_step: f64,
-    /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
-    pub border_width: f64,
-}
-
-/// A slope around a platform.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct SlopeConfig {
-    /// Slope along the middle of a side, rise over run.
-    #[serde(deserialize_with = "values::range_of::<Slope, _, _>")]
-    pub slope_range: [f64; 2],
-    /// Edge length of the platform in the middle.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub platform_width: f64,
-    /// Width of the flat edge of the tile.
-    #[serde(deserialize_with = "values::number_of::<Extent, _, _>")]
-    pub border_width: f64,
 }
 
 /// Vertices that a height field may have along a side.
@@ -211,6 +175,11 @@ impl TerrainConfig {
         })
     }
 
+    /// Whether it has a tile whose edges are multiples of `edge_step`.
+    pub(super) fn has_edges(&self) -> bool {
+        self.sub_terrains.iter().any(|sub| sub.shape.has_edges())
+    }
+
     /// Type of each column.
     pub fn column_types(&self) -> Vec<usize> {
         let total: f64 = self.sub_terrains.iter().map(|sub| sub.proportion).sum();
@@ -226,47 +195,5 @@ impl TerrainConfig {
                 found.unwrap_or(self.sub_terrains.len() - 1)
             })
             .collect()
-    }
-}
-
-impl SubTerrainShape {
-    /// Largest number of vertices of a tile, about.
-    fn num_vertices(&self, terrain: &TerrainConfig) -> f64 {
-        // four corners of a rectangle; a frame is four of them, and so are walls
-        const RECTANGLE: f64 = 4.0;
-        let [x, y] = terrain.size;
-        match self {
-            Self::Flat {} => RECTANGLE,
-            Self::PyramidStairs(c) | Self::PyramidStairsInv(c) => {
-                8.0 * RECTANGLE * (0.5 * x.min(y) / c.step_width + 3.0)
-            }
-            Self::Boxes(c) => 5.0 * RECTANGLE * ((x / c.grid_width) * (y / c.grid_width) + 3.0),
-            Self::RandomRough(_) | Self::HfPyramidSlope(_) | Self::HfPyramidSlopeInv(_) => {
-                (x / terrain.horizontal_scale + 2.0) * (y / terrain.horizontal_scale + 2.0)
-            }
-        }
-    }
-
-    /// Problem of the shape on a tile of this edge length, and the remedy.
-    fn problem(&self, size: f64) -> Option<(&'static str, &'static str)> {
-        let (inner, platform) = match self {
-            Self::Flat {} => return None,
-            Self::PyramidStairs(c) | Self::PyramidStairsInv(c) => (size - 2.0 * c.border_width, c.platform_width),
-            Self::Boxes(c) if size / c.grid_width > 1000.0 => {
-                return Some(("there would be more than a million blocks", "raise grid_width"));
-            }
-            Self::Boxes(c) => (size, c.platform_width),
-            Self::RandomRough(c) => (size - 2.0 * c.border_width, 0.0),
-            Self::HfPyramidSlope(c) | Self::HfPyramidSlopeInv(c) => (size - 2.0 * c.border_width, c.platform_width),
-        };
-        if inner <= platform {
-            return Some(("its border and platform are wider than the tile", "make them narrower"));
-        }
-        match self {
-            Self::PyramidStairs(c) | Self::PyramidStairsInv(c) if size / c.step_width > 10_000.0 => {
-                Some(("there would be too many steps", "raise step_width"))
-            }
-            _ => None,
-        }
     }
 }

@@ -126,6 +126,20 @@ impl<Q: Quantity> List<Q> for [f64; 3] {
     }
 }
 
+/// A quaternion w, x, y, z, brought to length 1.
+///
+/// # Errors
+/// Not four numbers, or all of them next to zero.
+pub fn quaternion<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 4], D::Error> {
+    let q = <[f64; 4]>::deserialize(deserializer)?;
+    let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if !(1e-6..=1e6).contains(&length) {
+        return Err(D::Error::custom("it turns nowhere; write a quaternion w, x, y, z, such as [1.0, 0.0, 0.0, 0.0]"));
+    }
+    // a quaternion of length 1 keeps its digits
+    Ok(if (length - 1.0).abs() < 1e-12 { q } else { q.map(|x| x / length) })
+}
+
 /// Numbers of the quantity `Q` by name.
 ///
 /// # Errors

@@ -609,6 +609,39 @@ pub struct HeightScan {
     pub hits: Box<[f32]>,
 }
 
+/// Depth camera on a link; the task's config gives its pixels.
+#[derive(Component, Clone, Debug, Serialize, Deserialize)]
+pub struct RayCasterCamera {
+    /// Distance of each pixel, rows from top to bottom, each from left to right, m. Follows from
+    /// the frame that is shown.
+    #[serde(skip)]
+    pub depth: Box<[f32]>,
+    /// The frame that is observed.
+    pub shown: Option<CameraFrame>,
+    /// Frames of the last control steps, the oldest first, that are not shown yet; empty for steps
+    /// without a frame.
+    pub late: Vec<Option<CameraFrame>>,
+    /// Control steps until the next frame.
+    pub wait: u32,
+    /// Control steps by which frames are late in this episode.
+    pub delay: u32,
+    /// Most control steps by which frames are late.
+    pub most_delay: u32,
+    /// Source of the camera's randomness.
+    pub rng: EnvRng,
+}
+
+/// A camera's view at a moment: the ground does not move, so that a late frame follows from it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct CameraFrame {
+    /// Place of the camera in the frame in which envs have their origins, m.
+    pub position: [f32; 3],
+    /// Turns the camera's axes to the world's.
+    pub rotation: [[f32; 3]; 3],
+    /// Source of the frame's noise.
+    pub noise: EnvRng,
+}
+
 /// Inertial sensor on the base.
 #[derive(Component, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Imu {

@@ -156,7 +156,8 @@ impl EngineFactory for Avian {
     fn make(&self, setup: &EngineSetup) -> Result<Box<dyn Engine>, Error> {
         let (scene, ground) = (&setup.task.scene, setup.ground);
         let obstacles = scene.obstacles.iter().flat_map(obstacles::parts);
-        let terrain = scene.terrain.as_ref().and_then(obstacles::terrain);
+        let terrain = scene.terrain.as_ref().zip(ground.layout.as_ref());
+        let terrain = terrain.and_then(|(terrain, layout)| obstacles::terrain(terrain, layout));
         let floor = obstacles::floor(&scene.pits());
         let plane = Some(Plane::level(ground.height)).filter(|_| ground.layout.is_none() && floor.is_none());
         let statics = obstacles.chain(terrain).chain(floor).collect();

@@ -7,7 +7,7 @@ use bevy_math::{EulerRot, Quat, Vec3};
 use glam::DVec3;
 
 use crate::config::{ObstacleConfig, TerrainConfig};
-use crate::terrain::{self, Mesh};
+use crate::terrain::{self, Mesh, TerrainLayout};
 
 /// One convex or triangulated part of an obstacle.
 #[derive(Clone)]
@@ -137,9 +137,9 @@ pub(crate) fn floor(pits: &[[[f64; 2]; 2]]) -> Option<Part> {
 }
 
 /// Generated terrain as one part: all tiles and the border.
-pub(crate) fn terrain(config: &TerrainConfig) -> Option<Part> {
-    let mut whole = terrain::border(config);
-    for tile in terrain::generate(config) {
+pub(crate) fn terrain(config: &TerrainConfig, layout: &TerrainLayout) -> Option<Part> {
+    let mut whole = terrain::border(config, layout);
+    for tile in terrain::generate_in(config, layout) {
         whole.append(&tile.mesh, tile.origin);
     }
     let reach = whole.vertices.iter().map(|v| Vec3::from_array(*v).length()).fold(0.0, f32::max);

@@ -111,19 +111,20 @@ pub fn add_avian(app: &mut App) {
 }
 
 /// Spawns a task's ground and obstacles in Avian's world and sets its gravity, once the app's
-/// plugins are finished.
+/// plugins are finished. `legs` are the leg lengths of the task's robots, m, which scale terrain.
 ///
 /// # Errors
 /// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
-pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
+pub fn build(world: &mut World, config: &TaskConfig, legs: &[f64]) -> Result<Ground, Error> {
     if config.physics.mirror_links {
         prepare(world);
     }
     world.insert_resource(Gravity(Vec3::from_array(config.sim.gravity.map(|x| x as f32))));
     let scene = &config.scene;
     let ground = &scene.ground;
-    if let Some(terrain) = &scene.terrain {
-        for (tag, collider, position) in terrain_colliders(terrain) {
+    let layout = scene.terrain.as_ref().map(|terrain| TerrainLayout::for_robots(terrain, legs));
+    if let (Some(terrain), Some(layout)) = (&scene.terrain, &layout) {
+        for (tag, collider, position) in terrain_colliders(terrain, layout) {
             world.spawn((
                 (tag, GroundCollider),
                 RigidBody::Static,
@@ -157,21 +158,22 @@ pub fn build(world: &mut World, config: &TaskConfig) -> Result<Ground, Error> {
             ));
         }
     }
-    Ok(bake_ground(world, scene)?)
+    Ok(bake_ground(world, scene, layout)?)
 }
 
 /// The tiles and the border; a tile of which no collider can be made is left out.
-fn terrain_colliders(config: &TerrainConfig) -> Vec<(TerrainCollider, Collider, Position)> {
+fn terrain_colliders(config: &TerrainConfig, layout: &TerrainLayout) -> Vec<(TerrainCollider, Collider, Position)> {
     let collider = |mesh: Mesh| {
         let vertices = mesh.vertices.into_iter().map(Vec3::from_array).collect();
         Collider::try_trimesh(vertices, mesh.triangles).ok()
     };
-    let tiles = terrain::generate(config).into_iter().filter_map(|tile| {
+    let tiles = terrain::generate_in(config, layout).into_iter().filter_map(|tile| {
         let [x, y] = tile.origin;
         let tag = TerrainCollider::Tile { row: tile.row, column: tile.column };
         Some((tag, collider(tile.mesh)?, Position(Vec3::new(x, y, 0.0))))
     });
-    let border = collider(terrain::border(config)).map(|border| (TerrainCollider::Border, border, Position::default()));
+    let border =
+        collider(terrain::border(config, layout)).map(|border| (TerrainCollider::Border, border, Position::default()));
     tiles.chain(border).collect()
 }
 
@@ -292,23 +294,23 @@ const RAY_START: f32 = 100.0;
 const MOST_POINTS: usize = 64_000_000;
 const LONGEST_SIDE: usize = 4_000_000;
 
-/// The ground of a task, without robots.
+/// The ground of a task, without robots; `legs` are those of [`build`].
 ///
 /// # Errors
 /// As [`build`].
-pub fn load(config: &TaskConfig) -> Result<Ground, Error> {
+pub fn load(config: &TaskConfig, legs: &[f64]) -> Result<Ground, Error> {
     let mut app = App::empty();
     add_avian(&mut app);
     app.finish();
     app.cleanup();
-    build(app.world_mut(), config)
+    build(app.world_mut(), config, legs)
 }
 
 /// Reads ground, obstacles and gravity from Avian's world, once the app's plugins are finished.
 ///
 /// # Errors
 /// There is no ground, a tile or an obstacle has no shape, or they need too large a grid.
-fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldError> {
+fn bake_ground(world: &mut World, scene: &SceneConfig, layout: Option<TerrainLayout>) -> Result<Ground, WorldError> {
     world.run_schedule(UpdateWorld);
     let obstacles: Vec<(Entity, ObstacleCollider, Vec3)> =
         world.query::<(Entity, &ObstacleCollider, &Position)>().iter(world).map(|(e, o, p)| (e, *o, p.0)).collect();
@@ -322,7 +324,6 @@ fn bake_ground(world: &mut World, scene: &SceneConfig) -> Result<Ground, WorldEr
         .filter(|(tag, ..)| **tag != TerrainCollider::Border)
         .filter_map(|(_, collider, position)| Some((Mesh::of_collider(collider)?, position.0.truncate().to_array())))
         .collect();
-    let layout = scene.terrain.as_ref().map(TerrainLayout::new);
     if let Some(layout) = &layout {
         let tags: Vec<_> = world.query::<&TerrainCollider>().iter(world).copied().collect();
         let places = (0..layout.num_rows).flat_map(|row| (0..layout.num_cols).map(move |column| (row, column)));

@@ -53,6 +53,74 @@ impl Mesh {
         self.top([ix, ox], [-iy, iy], z);
     }
 
+    /// Concentric level rectangles from the outermost to the platform in the middle, with the walls
+    /// between them: half edge lengths, and the height within.
+    pub(super) fn terraces(rings: &[([f64; 2], f64)]) -> Self {
+        let mut mesh = Self::default();
+        for pair in rings.windows(2) {
+            let ((outer, here), (inner, next)) = (pair[0], pair[1]);
+            if outer != inner {
+                mesh.frame(outer, inner, here);
+            }
+            if here != next {
+                mesh.walls([-inner[0], inner[0]], [-inner[1], inner[1]], [here.min(next), here.max(next)]);
+            }
+        }
+        if let Some(([x, y], height)) = rings.last() {
+            mesh.top([-x, *x], [-y, *y], *height);
+        }
+        mesh
+    }
+
+    /// A frame that rises evenly from its outer rectangle to its inner one.
+    pub(super) fn slanted_frame(&mut self, outer: [f64; 2], inner: [f64; 2], [low, high]: [f64; 2]) {
+        let corner = |[x, y]: [f64; 2], k: usize, z: f64| {
+            let [sx, sy] = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]][k % 4];
+            [sx * x, sy * y, z]
+        };
+        for k in 0..4 {
+            self.quad([
+                corner(outer, k, low),
+                corner(outer, k + 1, low),
+                corner(inner, k + 1, high),
+                corner(inner, k, high),
+            ]);
+        }
+    }
+
+    /// A wall from an edge to height 0.
+    pub(super) fn skirt(&mut self, [a, b]: [[f64; 3]; 2]) {
+        self.quad([[a[0], a[1], 0.0], [b[0], b[1], 0.0], b, a]);
+    }
+
+    /// A level rectangle above a lower one: its top and its walls.
+    pub(super) fn pillar(&mut self, x: [f64; 2], y: [f64; 2], [low, high]: [f64; 2]) {
+        self.top(x, y, high);
+        if low < high {
+            self.walls(x, y, [low, high]);
+        }
+    }
+
+    /// The faces of a convex body between two polygons of as many corners, counterclockwise from
+    /// above, the upper one of which is a lid.
+    pub(super) fn body(&mut self, lower: &[[f64; 3]], upper: &[[f64; 3]]) {
+        let count = upper.len();
+        for k in 0..count {
+            let next = (k + 1) % count;
+            self.quad([lower[k], lower[next], upper[next], upper[k]]);
+        }
+        let first = self.vertices.len() as u32;
+        self.vertices.extend(upper.iter().map(|corner| corner.map(|x| x as f32)));
+        self.triangles.extend((1..count as u32 - 1).map(|k| [first, first + k, first + k + 1]));
+    }
+
+    /// The sides of a pyramid above a polygon, counterclockwise from above.
+    pub(super) fn pyramid(&mut self, lower: &[[f64; 3]], peak: [f64; 3]) {
+        let (first, count) = (self.vertices.len() as u32, lower.len() as u32);
+        self.vertices.extend(lower.iter().chain([&peak]).map(|corner| corner.map(|x| x as f32)));
+        self.triangles.extend((0..count).map(|k| [first + k, first + (k + 1) % count, first + count]));
+    }
+
     /// A height field: `vertices[i * columns + j]`, two triangles between four of them, cut from
     /// the first to the last corner as [`HeightGrid`] cuts its cells.
     pub(super) fn field(vertices: Vec<[f32; 3]>, columns: usize) -> Self {

@@ -1,9 +1,12 @@
 //! Generated terrain: tiles of several types and levels of difficulty, as triangles.
 //!
-//! The shapes are those of Isaac Lab's rough terrain. Each tile is drawn from a separate stream, so
-//! that it does not depend on the others.
+//! The shapes are those of Isaac Lab's terrain generator and a few more. Each tile is drawn from a
+//! separate stream, so that it does not depend on the others.
 
+mod field;
 mod mesh;
+mod rings;
+mod scattered;
 mod tiles;
 
 pub use mesh::Mesh;
@@ -16,8 +19,14 @@ use crate::config::TerrainConfig;
 pub struct TerrainLayout {
     /// Levels of difficulty: tiles along x.
     pub num_rows: u32,
-    /// Tiles along y.
+    /// Tiles along y: those of each scale in turn.
     pub num_cols: u32,
+    /// Tiles along y that the robots of one scale share.
+    pub cols_per_scale: u32,
+    /// Factors of the heights, gaps and widths that change with the difficulty.
+    pub scales: Vec<f64>,
+    /// Place in `scales` of each robot; empty where all robots share all columns.
+    pub scale_of_robot: Vec<usize>,
     /// Edge lengths of a tile, m.
     pub size: [f32; 2],
     /// Index of each column's type.
@@ -28,15 +37,36 @@ pub struct TerrainLayout {
     pub max_init_level: u32,
 }
 
+/// Scales of robots are multiples of this.
+const SCALE_STEP: f64 = 0.1;
+
 impl TerrainLayout {
-    /// Layout of a terrain's tiles.
+    /// Layout of a terrain's tiles, none of which is scaled.
     pub fn new(config: &TerrainConfig) -> Self {
+        Self::for_robots(config, &[])
+    }
+
+    /// Layout of a terrain's tiles for robots with these leg lengths, m.
+    pub fn for_robots(config: &TerrainConfig, legs: &[f64]) -> Self {
         let last = config.num_rows.saturating_sub(1);
+        let legs = if config.scale_by.is_some() { legs } else { &[] };
+        let steps = |leg: &f64| (leg / config.reference_leg_length / SCALE_STEP).round().max(1.0) as u32;
+        let mut distinct: Vec<u32> = legs.iter().map(steps).collect();
+        distinct.sort_unstable();
+        distinct.dedup();
+        let scale_of_robot = legs.iter().map(|leg| distinct.partition_point(|scale| *scale < steps(leg))).collect();
+        let scales: Vec<f64> = match distinct.len() {
+            0 => vec![1.0],
+            _ => distinct.iter().map(|steps| f64::from(*steps) * SCALE_STEP).collect(),
+        };
         Self {
             num_rows: config.num_rows,
-            num_cols: config.num_cols,
+            num_cols: config.num_cols * scales.len() as u32,
+            cols_per_scale: config.num_cols,
+            scale_of_robot,
             size: config.size.map(|x| x as f32),
-            column_types: config.column_types(),
+            column_types: config.column_types().repeat(scales.len()),
+            scales,
             type_names: config.sub_terrains.iter().map(|sub| sub.name.clone()).collect(),
             max_init_level: config.max_init_terrain_level.unwrap_or(last).min(last),
         }
@@ -48,10 +78,21 @@ impl TerrainLayout {
         [middle(level, self.num_rows, self.size[0]), middle(column, self.num_cols, self.size[1])]
     }
 
-    /// Column of the env at `index` among its robot's envs. All columns get the same number of a
-    /// robot's envs: `num_cols` consecutive envs have all columns, a few have columns far apart.
+    /// First column of a robot, by its place among those of the task.
+    pub fn first_column(&self, robot: usize) -> u32 {
+        self.scale_of_robot.get(robot).map_or(0, |scale| *scale as u32 * self.cols_per_scale)
+    }
+
+    /// Factor of a column's tiles.
+    pub fn scale(&self, column: u32) -> f64 {
+        self.scales[(column / self.cols_per_scale) as usize]
+    }
+
+    /// Column of the env at `index` among its robot's envs, counted from the robot's first one. All
+    /// columns get the same number of a robot's envs: `cols_per_scale` consecutive envs have all
+    /// columns, a few have columns far apart.
     pub fn column_of(&self, index: usize) -> u32 {
-        let columns = u64::from(self.num_cols);
+        let columns = u64::from(self.cols_per_scale);
         let common = |a: u64, b: u64| {
             let (mut a, mut b) = (a, b);
             while b > 0 {
@@ -77,26 +118,32 @@ pub struct Tile {
     pub origin: [f32; 2],
 }
 
-/// All tiles, row by row.
+/// All tiles, row by row, of a terrain whose tiles are not scaled.
 pub fn generate(config: &TerrainConfig) -> Vec<Tile> {
-    let layout = TerrainLayout::new(config);
+    generate_in(config, &TerrainLayout::new(config))
+}
+
+/// All tiles of a layout, row by row. The random numbers of a tile do not depend on its scale.
+pub fn generate_in(config: &TerrainConfig, layout: &TerrainLayout) -> Vec<Tile> {
     let tile = |row: u32, column: u32| {
-        let mut rng = EnvRng::new(config.seed, u64::from(row * config.num_cols + column));
+        let stream = row * layout.cols_per_scale + column % layout.cols_per_scale;
+        let mut rng = EnvRng::new(config.seed, u64::from(stream));
         let [low, high] = config.difficulty_range;
         let share = (f64::from(row) + f64::from(rng.unit())) / f64::from(config.num_rows);
         let shape = &config.sub_terrains[layout.column_types[column as usize]].shape;
-        let mesh = tiles::mesh(shape, config, low + (high - low) * share, &mut rng);
+        let level = tiles::Level { config, difficulty: low + (high - low) * share, scale: layout.scale(column) };
+        let mesh = level.mesh(shape, &mut rng);
         Tile { row, column, mesh, origin: layout.origin(row, column) }
     };
-    (0..config.num_rows)
-        .flat_map(|row| (0..config.num_cols).map(move |column| (row, column)))
+    (0..layout.num_rows)
+        .flat_map(|row| (0..layout.num_cols).map(move |column| (row, column)))
         .map(|(r, c)| tile(r, c))
         .collect()
 }
 
 /// The flat border around all tiles, m, world axes.
-pub fn border(config: &TerrainConfig) -> Mesh {
-    let half = [0, 1].map(|axis| 0.5 * config.size[axis] * f64::from([config.num_rows, config.num_cols][axis]));
+pub fn border(config: &TerrainConfig, layout: &TerrainLayout) -> Mesh {
+    let half = [0, 1].map(|axis| 0.5 * config.size[axis] * f64::from([layout.num_rows, layout.num_cols][axis]));
     let mut mesh = Mesh::default();
     mesh.frame(half.map(|x| x + config.border_width), half, 0.0);
     mesh

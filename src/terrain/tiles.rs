@@ -1,32 +1,94 @@
 //! The surface of each type of tile, about its middle.
 
+use super::field::Field;
 use super::mesh::Mesh;
+use super::{field, rings, scattered};
 use crate::components::EnvRng;
-use crate::config::{BoxesConfig, RoughConfig, SlopeConfig, StairsConfig, SubTerrainShape, TerrainConfig};
+use crate::config::{BoxesConfig, StairsConfig, SubTerrainShape, TerrainConfig};
 
-/// A tile of this shape and difficulty.
-pub(super) fn mesh(shape: &SubTerrainShape, config: &TerrainConfig, difficulty: f64, rng: &mut EnvRng) -> Mesh {
-    let half = config.size.map(|x| 0.5 * x);
-    match shape {
-        SubTerrainShape::Flat {} => {
-            let mut mesh = Mesh::default();
-            mesh.top([-half[0], half[0]], [-half[1], half[1]], 0.0);
-            mesh
+/// How hard a tile is.
+pub(super) struct Level<'a> {
+    /// The terrain.
+    pub(super) config: &'a TerrainConfig,
+    /// Difficulty, as a share of the ranges.
+    pub(super) difficulty: f64,
+    /// Factor of what changes with the difficulty.
+    pub(super) scale: f64,
+}
+
+impl Level<'_> {
+    /// Half the edge lengths of a tile, m.
+    pub(super) fn half(&self) -> [f64; 2] {
+        self.config.size.map(|x| 0.5 * x)
+    }
+
+    /// Number of a range without a unit of length.
+    pub(super) fn ratio(&self, [low, high]: [f64; 2]) -> f64 {
+        low + (high - low) * self.difficulty
+    }
+
+    /// Length of a range that is harder the longer it is, m.
+    pub(super) fn rising(&self, range: [f64; 2]) -> f64 {
+        self.ratio(range) * self.scale
+    }
+
+    /// Length of a range that is harder the shorter it is, m.
+    pub(super) fn falling(&self, [low, high]: [f64; 2]) -> f64 {
+        (high - (high - low) * self.difficulty) * self.scale
+    }
+
+    /// The nearest place where edges may be, m.
+    pub(super) fn snap(&self, x: f64) -> f64 {
+        (x / self.config.edge_step).round() * self.config.edge_step
+    }
+
+    /// The nearest width that edges may have and that is not zero, m.
+    pub(super) fn snap_width(&self, x: f64) -> f64 {
+        self.snap(x).max(self.config.edge_step)
+    }
+
+    /// A tile of this shape.
+    pub(super) fn mesh(&self, shape: &SubTerrainShape, rng: &mut EnvRng) -> Mesh {
+        match shape {
+            SubTerrainShape::Flat {} => Mesh::terraces(&[(self.half(), 0.0)]),
+            SubTerrainShape::PyramidStairs(c) if c.landing_every > 0 || c.riser_gap > 0.0 => {
+                rings::flights(c, self, self.rising(c.step_height_range))
+            }
+            SubTerrainShape::PyramidStairsInv(c) if c.landing_every > 0 || c.riser_gap > 0.0 => {
+                rings::flights(c, self, -self.rising(c.step_height_range))
+            }
+            SubTerrainShape::PyramidStairs(c) => stairs(c, self.half(), self.rising(c.step_height_range)),
+            SubTerrainShape::PyramidStairsInv(c) => stairs(c, self.half(), -self.rising(c.step_height_range)),
+            SubTerrainShape::PyramidRamps(c) => rings::ramps(c, self, 1.0),
+            SubTerrainShape::PyramidRampsInv(c) => rings::ramps(c, self, -1.0),
+            SubTerrainShape::Boxes(c) => boxes(c, self.half(), self.rising(c.grid_height_range), rng),
+            SubTerrainShape::Box(c) => {
+                rings::platform(self, c.platform_width, self.rising(c.box_height_range), c.double_box)
+            }
+            SubTerrainShape::Pit(c) => {
+                rings::platform(self, c.platform_width, -self.rising(c.pit_depth_range), c.double_pit)
+            }
+            SubTerrainShape::Gap(c) => rings::gap(c, self),
+            SubTerrainShape::Rails(c) => rings::rails(c, self),
+            SubTerrainShape::FloatingRing(c) => rings::ring(c, self),
+            SubTerrainShape::Star(c) => scattered::star(c, self),
+            SubTerrainShape::Beams(c) => scattered::beams(c, self),
+            SubTerrainShape::RepeatedBoxes(c) => scattered::boxes(c, self, rng),
+            SubTerrainShape::RepeatedPyramids(c) => scattered::round(c, self, 4, rng),
+            SubTerrainShape::RepeatedCylinders(c) => scattered::round(c, self, scattered::SIDES, rng),
+            SubTerrainShape::HfSteppingStones(c) => scattered::stones(c, self, rng),
+            SubTerrainShape::RandomRough(c) => Field::new(self.config, c.border_width).rough(c, self, rng),
+            SubTerrainShape::HfPyramidSlope(c) => field::slope(c, self.config, self.ratio(c.slope_range)),
+            SubTerrainShape::HfPyramidSlopeInv(c) => field::slope(c, self.config, -self.ratio(c.slope_range)),
+            SubTerrainShape::HfDiscreteObstacles(c) => field::obstacles(c, self, rng),
+            SubTerrainShape::HfWave(c) => field::wave(c, self),
+            SubTerrainShape::Heightfield(c) => field::tables(c, self),
+            SubTerrainShape::Mixture(c) => field::mixture(c, self, rng),
         }
-        SubTerrainShape::PyramidStairs(c) => stairs(c, half, at(c.step_height_range, difficulty)),
-        SubTerrainShape::PyramidStairsInv(c) => stairs(c, half, -at(c.step_height_range, difficulty)),
-        SubTerrainShape::Boxes(c) => boxes(c, half, at(c.grid_height_range, difficulty), rng),
-        SubTerrainShape::RandomRough(c) => Field::new(config, c.border_width).rough(c, config, rng),
-        SubTerrainShape::HfPyramidSlope(c) => slope(c, config, at(c.slope_range, difficulty)),
-        SubTerrainShape::HfPyramidSlopeInv(c) => slope(c, config, -at(c.slope_range, difficulty)),
     }
 }
 
-fn at([low, high]: [f64; 2], difficulty: f64) -> f64 {
-    low + (high - low) * difficulty
-}
-
-fn both(half: f64) -> [f64; 2] {
+pub(super) fn both(half: f64) -> [f64; 2] {
     [-half, half]
 }
 
@@ -79,89 +141,4 @@ fn boxes(c: &BoxesConfig, half: [f64; 2], amplitude: f64, rng: &mut EnvRng) -> M
     mesh.top(platform, platform, amplitude);
     mesh.walls(platform, platform, [-amplitude, amplitude]);
     mesh
-}
-
-/// A pyramid whose height is the product of one along x and one along y, cut off where the
-/// platform's corners are.
-fn slope(c: &SlopeConfig, config: &TerrainConfig, slope: f64) -> Mesh {
-    let mut field = Field::new(config, c.border_width);
-    let [n, m] = field.inner();
-    // as in the reference: the longest way up is half of the inner part along x
-    let peak = (slope * 0.5 * n as f64 * config.horizontal_scale / config.vertical_scale).trunc();
-    let share = |index: usize, count: usize| {
-        let middle = (count / 2).max(1) as f64;
-        1.0 - (middle - index as f64).abs() / middle
-    };
-    let height = |i: usize, j: usize| peak * share(i, n) * share(j, m);
-    let reach = (0.5 * c.platform_width / config.horizontal_scale) as usize;
-    let most = height((n / 2).saturating_sub(reach), (m / 2).saturating_sub(reach));
-    for i in 0..n {
-        for j in 0..m {
-            field.set(i, j, height(i, j).clamp(most.min(0.0), most.max(0.0)).round_ties_even());
-        }
-    }
-    field.mesh(config)
-}
-
-/// Heights in units of the vertical scale.
-struct Field {
-    heights: Vec<f64>,
-    size: [usize; 2],
-    border: usize,
-}
-
-impl Field {
-    fn new(config: &TerrainConfig, border_width: f64) -> Self {
-        let size = config.size.map(|x| ((x / config.horizontal_scale).round() as usize).max(1) + 1);
-        let border = if border_width > 0.0 { (border_width / config.horizontal_scale + 1e-9) as usize + 1 } else { 0 };
-        // at least the middle is left
-        let border = border.min((size[0].min(size[1]) - 1) / 2);
-        Self { heights: vec![0.0; size[0] * size[1]], size, border }
-    }
-
-    /// Vertices within the border.
-    fn inner(&self) -> [usize; 2] {
-        self.size.map(|n| n - 2 * self.border)
-    }
-
-    /// Sets a vertex within the border.
-    fn set(&mut self, i: usize, j: usize, height: f64) {
-        self.heights[(i + self.border) * self.size[1] + j + self.border] = height;
-    }
-
-    fn rough(mut self, c: &RoughConfig, config: &TerrainConfig, rng: &mut EnvRng) -> Mesh {
-        let [n, m] = self.inner();
-        let [low, high] = c.noise_range.map(|x| x / config.vertical_scale);
-        let step = c.noise_step / config.vertical_scale;
-        let last = ((high - low) / step + 1e-9) as u32;
-        for i in 0..n {
-            for j in 0..m {
-                self.set(i, j, (low + step * f64::from(rng.integer([0, last]))).round_ties_even());
-            }
-        }
-        self.mesh(config)
-    }
-
-    /// The surface; the foot of a face beyond the slope threshold moves under its upper edge.
-    fn mesh(&self, config: &TerrainConfig) -> Mesh {
-        let [n, m] = self.size;
-        let scale = [config.size[0] / (n - 1) as f64, config.size[1] / (m - 1) as f64];
-        let height = |i: usize, j: usize| self.heights[i * m + j] * config.vertical_scale;
-        let shift = |here: f64, before: Option<f64>, after: Option<f64>, scale: f64| {
-            let steep = |other: Option<f64>| other.is_some_and(|other| other - here > config.slope_threshold * scale);
-            f64::from(steep(after)) - f64::from(steep(before))
-        };
-        let vertex = |i: usize, j: usize| {
-            let here = height(i, j);
-            let along_x =
-                shift(here, i.checked_sub(1).map(|i| height(i, j)), (i + 1 < n).then(|| height(i + 1, j)), scale[0]);
-            let along_y =
-                shift(here, j.checked_sub(1).map(|j| height(i, j)), (j + 1 < m).then(|| height(i, j + 1)), scale[1]);
-            let place = |index: usize, shift: f64, axis: usize| {
-                ((index as f64 + shift) * scale[axis] - 0.5 * config.size[axis]) as f32
-            };
-            [place(i, along_x, 0), place(j, along_y, 1), here as f32]
-        };
-        Mesh::field((0..n * m).map(|k| vertex(k / m, k % m)).collect(), m)
-    }
 }

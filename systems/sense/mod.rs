@@ -9,6 +9,8 @@ mod feet;
 mod height_scan;
 mod imu;
 pub(super) mod joint_descriptors;
+mod ray_cast;
+pub(super) mod ray_caster_camera;
 pub(super) mod scaled_descriptors;
 
 use bevy_app::{App, Plugin};
@@ -21,8 +23,8 @@ use super::terms::CompiledTask;
 use super::{ControlStep, PipelineSet, ResetSet, Setup, SetupSet, faults, for_both, keep_blocks, saved};
 use crate::blocks::{Block, BlockMarker, Blocks};
 use crate::components::{
-    BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, Episode, HeightScan, Imu,
-    JointDescriptors, JointState, Morphology, MountedOn, Robot, Stance,
+    BasePose, BaseVelocity, Body, ContactForces, ContactSensor, Env, EnvId, EnvOrigin, EnvRng, Episode, HeightScan,
+    Imu, JointDescriptors, JointState, Morphology, MountedOn, RayCasterCamera, Robot, Stance,
 };
 use crate::config::TaskConfig;
 use crate::dynamics::Parameters;
@@ -54,6 +56,8 @@ pub struct SensedRobot<'a> {
     pub stance: &'a Stance,
     /// Ground that the robots stand on.
     pub ground: &'a Ground,
+    /// The env's random numbers. A sensor that draws from them makes a copy.
+    pub rng: &'a EnvRng,
     /// Length of a physics step, s.
     pub dt: f32,
 }
@@ -71,6 +75,9 @@ pub trait Sensor: saved::Saved + BlockMarker + Component<Mutability = Mutable> {
     /// Whether snapshots hold it. A sensor that follows from the robot's state alone is measured
     /// after a restore instead.
     const IS_SAVED: bool = true;
+    /// Whether it measures after a restore, with [`renew`](Self::renew). Default: where it is not
+    /// saved.
+    const IS_RENEWED: bool = !Self::IS_SAVED;
 
     /// The settings in a task; `None` where the task has no such sensor.
     fn settings(task: &TaskConfig) -> Option<Self::Settings>;
@@ -83,7 +90,8 @@ pub trait Sensor: saved::Saved + BlockMarker + Component<Mutability = Mutable> {
     fn begin(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
         self.measure(settings, robot);
     }
-    /// Measures after a restore of a snapshot without the sensor. Default: measures.
+    /// Measures after a restore of a snapshot, see [`IS_RENEWED`](Self::IS_RENEWED). Default:
+    /// measures.
     #[inline(always)]
     fn renew(&mut self, settings: &Self::Settings, robot: &SensedRobot) {
         self.measure(settings, robot);
@@ -103,7 +111,8 @@ pub fn add_sensor<S: Sensor>(app: &mut App) {
     keep_blocks::<S>(app);
     if S::IS_SAVED {
         saved::save_component_of::<S, S>(app);
-    } else {
+    }
+    if S::IS_RENEWED {
         saved::measure_after_restore(app, measure_anew::<S>);
     }
 }
@@ -149,7 +158,7 @@ struct Sensing<'w, 's, S: Sensor> {
     ground: Res<'w, Ground>,
     settings: Res<'w, SensorSettings<S>>,
     robots: Blocks<'w, 's, SensedColumns, Robot>,
-    envs: Blocks<'w, 's, (&'static EnvOrigin, &'static Episode), Env>,
+    envs: Blocks<'w, 's, (&'static EnvOrigin, &'static Episode, &'static EnvRng), Env>,
     sensors: Blocks<'w, 's, &'static mut S, S>,
 }
 
@@ -225,7 +234,7 @@ impl<S: Sensor> Copy for Common<'_, S> {}
 type Columns<'a, S> = (
     (
         (&'a [BasePose], &'a [BaseVelocity], &'a [JointState], &'a [ContactForces], &'a [Body], &'a [Stance]),
-        (&'a [EnvOrigin], &'a [Episode]),
+        (&'a [EnvOrigin], &'a [Episode], &'a [EnvRng]),
     ),
     &'a mut [S],
 );
@@ -241,7 +250,7 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
     #[inline(always)]
     fn run(self) {
         let Self { common: Common { morphology, ground, settings, dt, occasion }, rows } = self;
-        let (((poses, velocities, joints, forces, bodies, stances), (origins, episodes)), sensors) = rows;
+        let (((poses, velocities, joints, forces, bodies, stances), (origins, episodes, rngs)), sensors) = rows;
         let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
         for k in 0..poses.len() {
             let row = order.as_ref().map_or(k, |order| order[k] as usize);
@@ -255,6 +264,7 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
                 body: &bodies[row].0,
                 stance: &stances[row],
                 ground,
+                rng: &rngs[row],
                 dt: dt as f32,
             };
             match occasion {
@@ -267,6 +277,11 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
     }
 }
 
+/// Refuses cameras on links that are not there.
+fn check_cameras(task: Res<CompiledTask>, morphologies: Res<Morphologies>) -> Result {
+    Ok(ray_caster_camera::check(&task.config, &morphologies.0)?)
+}
+
 /// Adds the built-in sensors.
 #[derive(Default)]
 pub struct SensePlugin;
@@ -276,7 +291,9 @@ impl Plugin for SensePlugin {
         add_sensor::<ContactSensor>(app);
         add_sensor::<Imu>(app);
         add_sensor::<HeightScan>(app);
+        add_sensor::<RayCasterCamera>(app);
         add_sensor::<JointDescriptors>(app);
+        app.add_systems(Setup, check_cameras.in_set(SetupSet::Spawn).ambiguous_with_all());
         app.add_systems(ControlStep, feet::measure_feet.in_set(PipelineSet::Sense));
     }
 }

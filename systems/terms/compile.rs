@@ -491,10 +491,9 @@ impl CompiledTask {
     /// The mirror image of a row of all groups of this robot, left and right exchanged: the number
     /// that takes the place of each number, and its sign. Numbers stay in their group.
     pub fn mirrored_observation(&self, robot: &MorphologyModel) -> Vec<(usize, f32)> {
-        let scanner = self.config.sensors.height_scanner.as_ref();
         let mut mirror = Vec::with_capacity(self.num_obs());
         for term in &self.observations {
-            let image = term.spec.mirror(term.size / term.history, self.num_joints, robot, scanner);
+            let image = term.spec.mirror(term.size / term.history, self.num_joints, robot, &self.config.sensors);
             for _ in 0..term.history {
                 let start = mirror.len();
                 mirror.extend(image.iter().map(|&(index, sign)| (start + index, sign)));

@@ -162,6 +162,25 @@ impl Registry {
         self.observation_sized(name, move |task, _| size(task), spec, offset, f);
     }
 
+    /// An observation term without parameters that is read from a sensor. `size` is that of
+    /// [`observation_of`](Self::observation_of); robots for which `is_on` is false have zeros.
+    pub(in crate::systems) fn sensor_observation(
+        &mut self,
+        name: &'static str,
+        size: fn(&TaskConfig) -> Result<usize, (String, String)>,
+        spec: TermSpec,
+        is_on: fn(&MorphologyModel, &TaskConfig) -> bool,
+        f: fn(&RobotView, &mut [f32]),
+    ) {
+        let build: Builder<BuiltObservation> = Box::new(move |file, element, table| {
+            let NoParams {} = parse_params(file, element, table)?;
+            let write: ObservationFn = Some(Box::new(f));
+            Ok(BuiltObservation { offset: 0.0, write })
+        });
+        let size: SizeFn = Box::new(move |task, _| size(task));
+        self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
+    }
+
     fn observation_sized<P>(
         &mut self,
         name: &'static str,

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use serde::Serialize;
 
-use crate::config::{ExternalConfig, ExternalKind, HeightScannerConfig};
+use crate::config::{ExternalConfig, ExternalKind, SensorsConfig};
 use crate::morphology::{BatchSlots, MorphologyModel};
 use crate::robot::{CANONICAL_JOINT_NAMES, ROLES, Slot};
 
@@ -36,6 +36,8 @@ pub enum TermKind {
     PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
+    /// A number of each pixel of the depth camera: the columns of the image change sides.
+    Image,
     /// Description of the robot's body, in blocks ([`TermSpec::blocks`]): numbers of joints change
     /// like those of `PerJoint`.
     Body,
@@ -247,7 +249,7 @@ impl TermSpec {
         size: usize,
         columns: usize,
         robot: &MorphologyModel,
-        scanner: Option<&HeightScannerConfig>,
+        sensors: &SensorsConfig,
     ) -> Vec<(usize, f32)> {
         let signs = |signs: [f32; 3]| (0..size).map(|i| (i, signs[i % 3])).collect();
         match self.kind {
@@ -260,9 +262,13 @@ impl TermSpec {
             TermKind::PerFoot => robot.mirrored_feet(size).into_iter().map(|foot| (foot, 1.0)).collect(),
             TermKind::Scan => {
                 // rows from right to left, each from back to front
-                let rows = scanner.map_or(1, |scanner| scanner.counts()[1]).max(1);
+                let rows = sensors.height_scanner.as_ref().map_or(1, |scanner| scanner.counts()[1]).max(1);
                 let length = size / rows;
                 (0..rows).rev().flat_map(|row| (row * length..(row + 1) * length).map(|i| (i, 1.0))).collect()
+            }
+            TermKind::Image => {
+                let width = sensors.ray_caster_camera.as_ref().map_or(1, |camera| camera.pattern_cfg.width as usize);
+                (0..size).map(|i| (i / width * width + (width - 1 - i % width), 1.0)).collect()
             }
             TermKind::Body => {
                 let mut mirror = Vec::with_capacity(size);

@@ -209,7 +209,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     ),
     "terrain heights": (
         ("--heights", "heights.npy", "--out", "map.toml"),
-        {"--out": OUTPUTS, "--task": NAMES, "--heights": FILES, "--cell": FLOATS, "--range": FLOATS},
+        {"--out": OUTPUTS, "--task": NAMES, "--heights": FILES, "--cell": FLOATS, "--range": FLOATS}
+        | {"--scale": FLOATS, "--platform": FLOATS},
     ),
     "motions": (
         ("draw", Positional("squat"), "--robot", "unitree_g1", "--out", "squat.npz"),

@@ -107,3 +107,61 @@ def test_a_negative_zero_and_digits_are_plain(tmp_path):
     assert "size = [0.5, 0.5]" in text
     with pytest.raises(ConfigError, match=r"use \.toml"):
         height_fields.write_task(tmp_path / "t.txt", np.zeros((2, 2)), 0.5, "velocity_flat")
+
+
+def test_files_become_levels_of_tiles(tmp_path, capsys):
+    """A level for each file, or levels by a factor; both engines' ground has them."""
+    x = np.linspace(-1.0, 1.0, 41)[:, None] * np.ones(41)
+    for name, heights in {"a.npy": 0.1 * np.abs(x), "b.npy": 0.3 * np.abs(x)}.items():
+        np.save(tmp_path / name, heights)
+    grey = np.full((41, 41), 128, np.uint8)
+    Image.fromarray(grey).save(tmp_path / "c.png")
+    task = tmp_path / "levels.toml"
+    files = [str(tmp_path / name) for name in ("a.npy", "b.npy", "c.png")]
+    line = ["terrain", "--heights", *files, "--range", "-0.51", "0.0", "--cell", "0.1", "--tiles", "--out", str(task)]
+    assert main(line) == 0
+    assert "4.00 x 4.00 m, heights from -0.254 to 0.300 m" in capsys.readouterr().out
+    env = polypod.make(str(task), 4, robots=["unitree_go2"], threads=1)
+    terrain = env.sim.terrain()
+    assert [(row, column) for row, column, _, _ in terrain["tiles"]] == [(r, c) for r in range(3) for c in range(4)]
+    for row, column, _, middle in terrain["tiles"]:
+        found = []
+        for place in ((-1.9, 0.3), (1.5, -1.0), (0.2, 0.2)):
+            at = np.rint((np.array(middle) + place - terrain["origin"]) / terrain["cell"]).astype(int)
+            found.append(float(terrain["heights"][tuple(at)]))
+        slope = (0.1, 0.3, None)[row]
+        expected = [-0.254] * 3 if slope is None else [slope * 0.95, slope * 0.75, slope * np.abs(x[15:26]).mean()]
+        assert found == pytest.approx(expected, abs=2e-3), (row, column)
+    env.reset(seed=0)
+    # one file at ten scales
+    line = ["terrain", "--heights", files[0], "--cell", "0.1", "--tiles", "--scale", "0.0", "2.0", "--out", str(task)]
+    assert main([*line, "--platform", "0"]) == 0
+    terrain = polypod.make(str(task), 1, robots=["unitree_go2"], threads=1).sim.terrain()
+    peaks = []
+    for _, column, _, middle in terrain["tiles"]:
+        if column == 0:
+            place = np.add(middle, (-1.9, 0.3))
+            at = np.rint((place - terrain["origin"]) / terrain["cell"]).astype(int)
+            peaks.append(float(terrain["heights"][tuple(at)]) / 0.095)
+    assert len(peaks) == 10
+    assert all(0.2 * level <= peak <= 0.2 * (level + 1) + 1e-3 for level, peak in enumerate(peaks)), peaks
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["a.npy", "b.npy"], "add --tiles"),
+        (["a.npy", "b.npy", "--tiles"], "make all of one size"),
+        (["a.npy", "--scale", "0", "1"], "add --tiles"),
+        (["a.npy", "--tiles", "--platform", "0", "--scale", "1", "0"], "the easiest level's factor comes first"),
+        (["a.npy", "--tiles", "--platform", "9"], "--platform 9.0"),
+    ],
+)
+def test_levels_that_are_none_are_refused(tmp_path, monkeypatch, capsys, options, said):
+    monkeypatch.chdir(tmp_path)
+    np.save("a.npy", np.zeros((5, 5)))
+    np.save("b.npy", np.zeros((5, 6)))
+    assert main(["terrain", "--out", "t.toml", "--heights", *options]) == 2
+    assert said in capsys.readouterr().err
+    assert main(["terrain", "--tiles", "--out", "t.toml"]) == 2
+    assert "--heights" in capsys.readouterr().err

@@ -7,7 +7,8 @@ use pyo3::types::PyDict;
 use super::exceptions::{guarded, to_python};
 use polypod::Error;
 use polypod::config::{Library, TaskConfig};
-use polypod::terrain::{Mesh, TerrainLayout, border, generate};
+use polypod::morphology::MorphologyModel;
+use polypod::terrain::{Mesh, border, generate_in};
 use polypod::world::{self, Ground};
 
 #[doc = docstring!("terrain")]
@@ -15,9 +16,10 @@ use polypod::world::{self, Ground};
 #[pyo3(signature = (task, overrides=Vec::new()))]
 pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) -> PyResult<Bound<'py, PyDict>> {
     let failed = |error: Error| to_python(py, error);
-    let task = guarded(py, || Library::new(Vec::new()).task(task, &overrides))?;
+    let library = Library::new(Vec::new());
+    let task = guarded(py, || library.task(task, &overrides))?;
     let config = task.map_err(|error| failed(error.into()))?.config;
-    let ground = guarded(py, || world::load(&config))?.map_err(failed)?;
+    let ground = guarded(py, || world::load(&config, &legs(&library, &config)?))?.map_err(failed)?;
     entry(py, &config, &ground)?.ok_or_else(|| {
         failed(Error::Argument {
             element: "task",
@@ -25,6 +27,15 @@ pub(super) fn terrain<'py>(py: Python<'py>, task: &str, overrides: Vec<String>) 
             remedy: "name a task with terrain or obstacles, such as velocity_rough".into(),
         })
     })
+}
+
+/// Leg lengths of a task's robots, m; empty where they scale no terrain.
+fn legs(library: &Library, config: &TaskConfig) -> Result<Vec<f64>, Error> {
+    if config.scene.terrain.as_ref().is_none_or(|terrain| terrain.scale_by.is_none()) {
+        return Ok(Vec::new());
+    }
+    let robots = library.robots_in(&config.robots, config)?;
+    robots.iter().map(|robot| Ok(MorphologyModel::new(robot)?.leg_length())).collect()
 }
 
 /// The heights, triangles and tiles of a task's ground; None for a plane.
@@ -42,10 +53,9 @@ pub(super) fn entry<'py>(
     dict.set_item("cell", grid.cell)?;
     dict.set_item("heights", PyArray1::from_vec(py, grid.heights()).reshape(grid.size)?)?;
     let (mut mesh, mut tiles) = (Mesh::default(), Vec::new());
-    if let Some(config) = &config.scene.terrain {
-        let layout = TerrainLayout::new(config);
-        mesh = border(config);
-        for tile in generate(config) {
+    if let (Some(config), Some(layout)) = (&config.scene.terrain, &ground.layout) {
+        mesh = border(config, layout);
+        for tile in generate_in(config, layout) {
             mesh.append(&tile.mesh, tile.origin);
             let name = &layout.type_names[layout.column_types[tile.column as usize]];
             tiles.push((tile.row, tile.column, name.clone(), tile.origin));
