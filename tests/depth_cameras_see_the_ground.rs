@@ -126,7 +126,7 @@ fn late_frames_are_those_of_before_and_lost_ones_are_not_shown() {
         }
         past.push(images(&now));
         // the image is late by three control steps; the first frame is at once there
-        assert!(images(&late) == past[(t as usize + 1).saturating_sub(3)], "step {t}");
+        assert!(images(&late) == past[(t + 1).saturating_sub(3)], "step {t}");
         assert!(images(&lost) == first, "step {t}");
         let seen = images(&half);
         kept += (0..6).filter(|env| seen[*env] != before[*env]).count();

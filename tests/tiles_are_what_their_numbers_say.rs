@@ -678,6 +678,6 @@ fn every_shape_is_in_the_list_of_this_test() {
         | SubTerrainShape::Heightfield(_)
         | SubTerrainShape::Mixture(_) => true,
     };
-    let config = terrain(&all_types()[0]["scene.terrain.sub_terrains=[".len()..].trim_end_matches(']').to_owned(), &[]);
+    let config = terrain(all_types()[0]["scene.terrain.sub_terrains=[".len()..].trim_end_matches(']'), &[]);
     assert_eq!(config.sub_terrains.iter().filter(|sub| known(&sub.shape)).count(), TYPES.len());
 }
