@@ -1,21 +1,20 @@
 """Bars on standard error that show how far several parts of a long run are."""
 
+from importlib.util import find_spec
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bars
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
 
 
 class Progress:
-    """A bar for each part of a run on a terminal, nothing elsewhere."""
+    """A bar for each part of a run on a terminal, nothing elsewhere and without the package rich."""
 
     def __init__(self, width: int) -> None:
         """Looks at standard error; names of parts are `width` letters wide."""
-        console = Console(stderr=True)
-        name = TextColumn(f"{{task.description:<{width}}}")
-        columns = (name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        self._bars = Bars(*columns, console=console) if console.is_terminal else None
+        self._bars = _bars(width)
         self._tasks: dict[str, TaskID] = {}
 
     def __enter__(self) -> "Progress":
@@ -38,3 +37,16 @@ class Progress:
         if name not in self._tasks:
             self._tasks[name] = self._bars.add_task(name, total=total)
         self._bars.update(self._tasks[name], completed=done)
+
+
+def _bars(width: int) -> "Bars | None":
+    if find_spec("rich") is None:
+        return None
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        return None
+    name = TextColumn(f"{{task.description:<{width}}}")
+    return Progress(name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=console)

@@ -256,6 +256,7 @@ _POLYPOD_SWITCHES = {
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--gate", "--no-gate"),
     "export": ("--fold", "--no-fold"),
     "play": ("--headless", "--no-headless", "--meshes", "--no-meshes"),
+    "terrain": ("--tiles", "--no-tiles"),
     "add": ("--force", "--no-force"),
     "sim2sim": ("--soft-contact", "--no-soft-contact", "--differences", "--no-differences"),
     "robot": ("--force", "--no-force"),

@@ -81,7 +81,7 @@ def test_a_base_without_a_free_joint_keeps_its_keyframes(tmp_path: Path) -> None
 def test_a_keyframe_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "fox.xml"
     file.write_text(fox(key=HOME.replace("0.8", "nan")))
-    with pytest.raises(_core.ConfigError, match=r"fox\.xml: <key> 0: qpos has a number that is not finite"):
+    with pytest.raises(_core.ConfigError, match=r"fox\.xml: key other: qpos has a number that is not finite"):
         mjcf.read(file)
 
 
