@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """A bar for each part of a run on a terminal; nothing elsewhere, or without the package rich."""
+    """A bar for each part of a run on a terminal; none elsewhere, or without the package rich."""
 
     def __init__(self, width: int) -> None:
         """Looks at standard error; names of parts are `width` letters wide."""

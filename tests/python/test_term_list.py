@@ -59,7 +59,8 @@ def complaint(kind, name, keys):
     text = json.dumps(entry).replace('": ', '" = ')
     others = [f"commands.{command}={text}" for command, text in COMMANDS.items() if command != name]
     others += ["sensors.height_scanner={size=[0.2, 0.2], resolution=0.1}"]
-    others += ["sensors.ray_caster_camera={mount={pos=[0.3, 0.0, 0.1]}, pattern_cfg={width=2, height=2}}"]
+    camera = "mount={pos=[0.3, 0.0, 0.1]}, pattern_cfg={width=2, height=2, horizontal_fov=1.5}, max_distance=3.0"
+    others += [f"sensors.ray_caster_camera={{{camera}}}"]
     try:
         polypod.make(
             "velocity_flat", 1, robots=["unitree_go2"], threads=1, overrides=[*others, f"{place}={text}"]
