@@ -15,11 +15,13 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 
 use polypod::dynamics::{
-    ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, Parameters, Plane, Report, State,
+    ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, Parameters, Report, State,
     StepSettings, Terrain, Workspace,
 };
 use polypod_cuda::{Block, Parts, Scene};
-use scenes::{Random, Robot, library, random_state, randomise_drive, reference_robots, rough_ground};
+use scenes::{
+    Random, Robot, library, random_state, randomise_drive, reference_robots, rough_ground, with_springs_on_a_slope,
+};
 
 /// Robots of a block: two warps.
 const ENVS: usize = 64;
@@ -211,16 +213,7 @@ fn main() -> io::Result<()> {
         robot.topology.friction = ContactFriction::Torsional;
         robot.nominal.torsional_friction = 0.02;
         robot.nominal.restitution = 0.4;
-        robot.topology.has_springs = true;
-        robot.topology.has_surfaces = true;
-        robot.topology.has_delay = true;
-        robot.topology.joints.iter_mut().step_by(2).for_each(|joint| joint.explicit = true);
-        robot.nominal.spring = vec![[8.0, 0.4]; joints].into();
-        robot.nominal.contact_friction = vec![[0.5, 0.01, 0.0]; robot.topology.contacts.len()].into();
-        robot.nominal.joint_friction.iter_mut().for_each(|friction| *friction += 0.1);
-        let (s, c) = 0.2f64.sin_cos();
-        let ground = Some(Plane { normal: [0.6 * s, 0.8 * s, c], offset: -0.1 });
-        let contact = ContactSettings { ground, iterations: 6, ..ContactSettings::default() };
+        let contact = with_springs_on_a_slope(&mut robot);
         arrays.prefix = format!("slope/{}", robot.name);
         Run {
             robot: &robot,

@@ -6,11 +6,11 @@ mod scenes;
 
 use polypod::dynamics::{
     ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
-    NetworkProgram, Parameters, Plane, Report, State, StepSettings, Terrain, Topology, Workspace,
+    NetworkProgram, Parameters, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
 use polypod_cuda::{Block, Scene, Unsupported};
 use polypod_cuda_host::step_on_host;
-use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground};
+use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground, with_springs_on_a_slope};
 
 /// Robots of a block.
 const ENVS: usize = 3;
@@ -160,16 +160,7 @@ fn on_ground_that_resists_turning_and_gives_back_what_falls() {
 fn with_springs_surfaces_and_forces_on_links_on_a_slope() {
     for mut robot in library(false) {
         let joints = robot.topology.num_joints();
-        robot.topology.has_springs = true;
-        robot.topology.has_surfaces = true;
-        robot.topology.has_delay = true;
-        robot.topology.joints.iter_mut().step_by(2).for_each(|joint| joint.explicit = true);
-        robot.nominal.spring = vec![[8.0, 0.4]; joints].into();
-        robot.nominal.contact_friction = vec![[0.5, 0.01, 0.0]; robot.topology.contacts.len()].into();
-        robot.nominal.joint_friction.iter_mut().for_each(|friction| *friction += 0.1);
-        let (s, c) = 0.2f64.sin_cos();
-        let ground = Some(Plane { normal: [0.6 * s, 0.8 * s, c], offset: -0.1 });
-        let contact = ContactSettings { ground, iterations: 6, ..ContactSettings::default() };
+        let contact = with_springs_on_a_slope(&mut robot);
         let met = compare(&robot, contact, None, &[(0, true), (joints, false)], 15);
         assert!(met.contacts > 0, "{}: {met:?}", robot.name);
     }

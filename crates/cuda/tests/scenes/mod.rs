@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "each of its users needs a part of it")]
 
 use polypod::config::Library;
-use polypod::dynamics::{Drive, HeightGrid, Parameters, State, Topology};
+use polypod::dynamics::{ContactSettings, Drive, HeightGrid, Parameters, Plane, State, Topology};
 use polypod::{Sim, SimOptions};
 
 /// Random numbers, the same on every machine.
@@ -96,6 +96,21 @@ pub fn rough_ground(random: &mut Random) -> HeightGrid {
     }
     grid.note_squares();
     grid
+}
+
+/// Gives a robot springs, surfaces, delays and explicit joints; the contacts of a slope.
+pub fn with_springs_on_a_slope(robot: &mut Robot) -> ContactSettings {
+    let joints = robot.topology.num_joints();
+    robot.topology.has_springs = true;
+    robot.topology.has_surfaces = true;
+    robot.topology.has_delay = true;
+    robot.topology.joints.iter_mut().step_by(2).for_each(|joint| joint.explicit = true);
+    robot.nominal.spring = vec![[8.0, 0.4]; joints].into();
+    robot.nominal.contact_friction = vec![[0.5, 0.01, 0.0]; robot.topology.contacts.len()].into();
+    robot.nominal.joint_friction.iter_mut().for_each(|friction| *friction += 0.1);
+    let (s, c) = 0.2f64.sin_cos();
+    let ground = Some(Plane { normal: [0.6 * s, 0.8 * s, c], offset: -0.1 });
+    ContactSettings { ground, iterations: 6, ..ContactSettings::default() }
 }
 
 /// A morphology of the reference task, and how it stands.
