@@ -228,6 +228,8 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
         (["train.distillation={teacher=PHANTOMX, teachers={'*'=PHANTOMX}}"], "needs either teacher"),
         (["train.distillation={loss_type='mse'}"], "needs either teacher"),
         (["train.distillation={teacher=PHANTOMX, teacher_share=0.5}"], "teacher_share is of"),
+        (["train.distillation={teacher=PHANTOMX, weights='envs'}"], "weights is of"),
+        (["train.distillation={teacher=PHANTOMX, final_learning_rate=0.001}"], "final_learning_rate is of"),
         (["train.distillation={teachers={'*'='quadruped'}, teacher_share=1.5}"], "must be from 0 to 1"),
         (["train.distillation={teachers={'*'=3}}"], r"teachers.* must be of type"),
         (["train.distillation={teachers={'*'='quadruped'}, weights='joints'}"], "weights = 'joints' is not one of"),

@@ -477,8 +477,10 @@ def _check_teachers(distillation: DistillationConfig, where: str) -> None:
         )
     if not 0.0 <= distillation.teacher_share <= 1.0:
         raise _core.ConfigError(f"{where} teacher_share = {distillation.teacher_share} must be from 0 to 1")
-    if distillation.teacher_share > 0.0 and distillation.teacher is not None:
-        raise _core.ConfigError(f"{where} teacher_share is of [distillation.teachers]; name the teacher there")
+    defaults = DistillationConfig()
+    for key in ("teacher_share", "weights", "final_learning_rate"):
+        if distillation.teacher is not None and getattr(distillation, key) != getattr(defaults, key):
+            raise _core.ConfigError(f"{where} {key} is of [distillation.teachers]; name the teacher there")
     rate = distillation.final_learning_rate
     if rate is not None and not 0.0 < rate <= 1.0:
         raise _core.ConfigError(f"{where} final_learning_rate = {rate} must be above 0 and at most 1")
