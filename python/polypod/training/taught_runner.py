@@ -48,7 +48,7 @@ class TaughtRunner(Runner):
         self._told = {name: torch.zeros(self._steps, env.num_envs) for name in ("rewards", "dones")}
         """[steps, envs], of the envs."""
         self._place, self._read = (torch.zeros(1, dtype=torch.int64, device=device) for _ in range(2))
-        """Control steps of the next sample, and of the next one to learn from."""
+        """Control steps of the sample that is taken, and of the one that is learned from."""
         self._share = torch.zeros((), device=device)
         self._rate = torch.tensor(self.alg.learning_rate, device=device)
         self._parameters = list(self.alg.student.parameters())
@@ -62,14 +62,13 @@ class TaughtRunner(Runner):
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         """Takes the steps of an iteration, and learns from each of them for the first time."""
-        self._place.zero_()
-        self._read.zero_()
         self._errors.zero_()
         self._share.fill_(self.alg.teacher_share)
         self._rate.fill_(self.alg.learning_rate)
         self._count = 0
         for step in range(self._steps):
             self.env.observe_into(self._inputs)
+            self._place.fill_(step)
             self._graphs.run("act", self._act)
             self._actions.copy_(self._drawn, non_blocking=True)
             drawn = self._event()
@@ -104,10 +103,10 @@ class TaughtRunner(Runner):
         storage.privileged_actions.index_copy_(0, self._place, labels.unsqueeze(0))
         for name, samples in storage.observations.items():
             samples.index_copy_(0, self._place, self._observed[name].unsqueeze(0))
-        self._place.add_(1).remainder_(self._steps)
 
     def _learn(self) -> None:
         """Learns from the next sample."""
+        self._read.fill_(self._count % self._steps)
         self._count += 1
         is_step = self._count % self.alg.gradient_length == 0
         if is_step and self.workers.count == 1:
@@ -127,7 +126,6 @@ class TaughtRunner(Runner):
             errors = self.alg.errors(observations, labels)
         self.alg.loss(errors).backward()  # type: ignore[no-untyped-call]
         self._errors += errors.detach()
-        self._read.add_(1).remainder_(self._steps)
 
     def _apply(self) -> None:
         if self.alg.max_grad_norm:
@@ -142,7 +140,7 @@ class TaughtRunner(Runner):
         gradients = [parameter.grad for parameter in self._parameters if parameter.grad is not None]
         storage = self.alg.storage
         samples = [storage.privileged_actions, *storage.observations.values()]
-        return [self._place, self._read, self._errors, *samples, *gradients, *tensors_of(self._adam)]
+        return [self._errors, *samples, *gradients, *tensors_of(self._adam)]
 
     def _event(self) -> torch.cuda.Event | None:
         """The point of the device's work so far; None: on a CPU all is done."""
