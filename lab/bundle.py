@@ -72,7 +72,7 @@ def main() -> None:
         sys.exit(str(error))
     arguments.folder.mkdir(parents=True)
     checkpoint = arguments.folder / f"model_{state['iter']}.pt"
-    torch.save({**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"]}, checkpoint)
+    torch.save({**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}, checkpoint)
     manifest["checkpoints"] = {checkpoint.name: hashlib.sha256(checkpoint.read_bytes()).hexdigest()}
     (arguments.folder / "manifest.json").write_text(json.dumps(manifest, separators=(",", ":")) + "\n", encoding="utf-8")
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
