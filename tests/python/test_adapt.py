@@ -7,9 +7,9 @@ import signal
 import numpy as np
 import pytest
 import torch
-from common import MASKED_POLICY
 from test_trainings_end_when_robots_walk import FIGURES, bad
 
+from common import MASKED_POLICY
 from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
 from polypod.runs import config, run_dir

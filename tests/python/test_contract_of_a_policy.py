@@ -105,7 +105,11 @@ CHANGES = [
     (["observation", "terms", 4, "history"], 7, r"contract.observation.terms\[4\].history is 7, which does not divide"),
     (["observation", "terms", 4, "source"], "sonar", r"contract.observation.terms\[4\].source is 'sonar'"),
     (["observation", "terms", 4, "clip"], [1.0, -1.0], r"contract.observation.terms\[4\].clip"),
-    (["observation", "terms", 4, "constant"], [1.0], r"contract.observation.terms\[4\].constant has 1 numbers, not 345"),
+    (
+        ["observation", "terms", 4, "constant"],
+        [1.0],
+        r"contract.observation.terms\[4\].constant has 1 numbers, not 345",
+    ),
     (["inputs", 0, "size"], 4, "contract.inputs gives base_ang_vel 4 numbers, but the robot has 3"),
     (["inputs", 0, "name"], "odometry", "contract.inputs holds odometry"),
     (["outputs"], [{"name": "actions", "size": 69}], "contract.outputs lacks joint_pos_target"),
