@@ -17,7 +17,7 @@ from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array
 from polypod.compat import tomllib
-from polypod.evaluation import Policy, Walking, play_task, undisturbed, walking
+from polypod.evaluation import Policy, Walking, play_task, rising, undisturbed, walking
 from polypod.evaluation.results import finite
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
@@ -339,7 +339,7 @@ class Episode:
         least_height = -np.inf
         if lowest is not None:
             share = lowest.get("minimum_share", _MINIMUM_SHARE)
-            least_height = lowest.get("minimum_height", _least_height(share, interface.info))
+            least_height = lowest.get("minimum_height", rising.least_height(share, interface.info))
         return Ends(frozenset(groups), least_height, ends.get("bad_orientation", {}).get("limit_angle", np.pi))
 
     def delays(self, robot: accuracy_robot.Robot) -> Array:
@@ -454,16 +454,6 @@ def _combined_friction(task: dict[str, Any]) -> float:
     a, b = ground["static_friction"], robot["static_friction"]
     rules = {"multiply": a * b, "average": 0.5 * (a + b), "min": min(a, b), "max": max(a, b)}
     return float(rules[ground["friction_combine"]])
-
-
-def _least_height(share: float, info: Mapping[str, Any]) -> float:
-    """Height of a base that has sunk to a share of its height, m.
-
-    As `MorphologyModel::least_height` of the simulator.
-    """
-    height: float = info["base_height"]
-    hips = height + float(info.get("hip_height", 0.0))
-    return share * height if height >= 0.5 * hips else height - (1.0 - share) * hips
 
 
 def _spin_friction(task: dict[str, Any]) -> dict[str, float]:
