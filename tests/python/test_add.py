@@ -765,7 +765,9 @@ def _turn(roll: float, pitch: float, yaw: float) -> np.ndarray:
     return about_z @ about_y @ about_x
 
 
-@pytest.mark.parametrize(("name", "content"), [("r.usda", b"#usda 1.0\n"), ("r.usd", b"PXR-USDC\0"), ("r.usdz", b"PK\3\4")])
+@pytest.mark.parametrize(
+    ("name", "content"), [("r.usda", b"#usda 1.0\n"), ("r.usd", b"PXR-USDC\0"), ("r.usdz", b"PK\3\4")]
+)
 def test_a_usd_file_is_named_as_such(cli, tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     done = cli("add", name, "--name", "mine", "--out", "mine")

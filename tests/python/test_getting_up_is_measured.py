@@ -19,13 +19,16 @@ class Sim:
     num_envs, step_dt = 3, 0.5
 
     def __init__(self):
+        """Lies down."""
         self.height = np.zeros((3, 1), dtype=np.float32)
 
     def env_ids(self, robot):
+        """All rows."""
         assert robot == "one"
         return 0, 3
 
     def state(self, field):
+        """Height, or an upright base."""
         return self.height if field == "base_height" else np.tile(np.float32([0.0, 0.0, -1.0]), (3, 1))
 
 
@@ -72,7 +75,9 @@ def test_an_episode_that_fails_is_not_up():
     assert math.isnan(nobody.time_s)
 
 
-@pytest.mark.parametrize(("degrees", "height", "wanted"), [(19.0, 0.91, True), (21.0, 0.91, False), (19.0, 0.89, False)])
+@pytest.mark.parametrize(
+    ("degrees", "height", "wanted"), [(19.0, 0.91, True), (21.0, 0.91, False), (19.0, 0.89, False)]
+)
 def test_up_is_near_the_direction_and_the_height_that_the_task_rewards(degrees, height, wanted):
     goal = rising.Goal(np.array([1.0, 0.0, 0.0]), 1.0)
     turn = math.radians(degrees)

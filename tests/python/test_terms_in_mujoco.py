@@ -58,11 +58,13 @@ class Still:
     """A policy that holds the default pose."""
 
     def __init__(self, interface):
+        """For a robot."""
         self.interface = interface
         self.inputs = {"joint_pos": len(interface.joint_names), "goal": 2}
         self.given = []
 
     def __call__(self, joint_pos, goal):
+        """Notes the goal."""
         self.given.append(np.array(goal))
         n = len(joint_pos)
         actions = np.zeros((n, self.interface.num_actions), dtype=np.float32)
@@ -118,7 +120,9 @@ def test_commands_are_drawn_and_memory_is_kept_as_in_polypod():
 def test_reset_events_place_both():
     own, twin, _, episode = stage(seen, count, goal, lifted, everything)
     _, _, _, plain = stage(seen, count, goal, everything)
-    np.testing.assert_allclose(episode.start["spot"][0] - plain.start["spot"][0], [[0.1, 0, 0.05] + [0] * 16] * 3, atol=1e-6)
+    np.testing.assert_allclose(
+        episode.start["spot"][0] - plain.start["spot"][0], [[0.1, 0, 0.05] + [0] * 16] * 3, atol=1e-6
+    )
     twin.reset(*episode.start["spot"])
     own.begin(twin)
     np.testing.assert_allclose(own.sim.view.base_pos, episode.sim.view.base_pos, atol=1e-6)
@@ -148,7 +152,9 @@ def test_what_mujoco_does_not_answer_is_refused_by_name(field):
         own.begin(twin)
 
 
-@pytest.mark.parametrize(("name", "call"), [("push", lambda env: env.sim.push(env.base_lin_vel)), ("log", lambda env: env.sim.log())])
+@pytest.mark.parametrize(
+    ("name", "call"), [("push", lambda env: env.sim.push(env.base_lin_vel)), ("log", lambda env: env.sim.log())]
+)
 def test_polypod_s_simulator_is_refused_by_name(name, call):
     @terms.termination()
     def asks(env):

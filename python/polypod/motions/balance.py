@@ -37,7 +37,7 @@ def zero_moment_points(body: Body, motion: Motion) -> Array:
     speeds[:, :3] = linear
     speeds[:, 3:6] = turns.rotated(rotations.inverse(qpos[:, 3:7]), angular)
     speeds[:, [6 + body.joints.index(name) for name in motion.joint_names]] = joints
-    effort = body.effort(qpos, speeds, np.gradient(speeds, 1.0 / motion.fps, axis=0))
+    effort = body.effort(qpos, speeds, np.asarray(np.gradient(speeds, 1.0 / motion.fps, axis=0)))
     force, moment = effort[:, :3], turns.rotated(qpos[:, 3:7], effort[:, 3:6])
     moment = moment + np.cross(qpos[:, :3], force)
     weight = float(np.median(force[:, 2]))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from polypod.motions.body import Body
 from polypod.motions.motion import Motion, velocities
 
 Ids = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,16 +101,16 @@ class Errors:
     """[n], angle."""
     gravity: Array
     """[n], difference of the vertical direction's z component in base axes."""
-    link_pos: Array
+    link_pos: Floats
     """[n, keys, 3], with the reference moved to the base's place on the ground and heading."""
-    link_ori: Array
+    link_ori: Floats
     """[n, keys], in the same way."""
-    link_lin_vel: Array
+    link_lin_vel: Floats
     """Differences of the key links' velocities, [n, keys, 3], m/s."""
-    link_ang_vel: Array
+    link_ang_vel: Floats
 
 
-def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array, ang: Array) -> Errors:
+def errors(reference: Reference, frame: Ids, pos: Floats, quat: Floats, lin: Floats, ang: Floats) -> Errors:
     """Compares the key links of envs with their frames of the reference.
 
     Args:
@@ -151,15 +153,15 @@ def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array
     )
 
 
-def _angle(left: tuple[Array, ...], right: Array) -> Array:
+def _angle(left: tuple[Floats, ...], right: Floats) -> Floats:
     """Angles between orientations [...], rad; exact for small ones in single precision too."""
     dot = sum(part * right[..., i] for i, part in enumerate(left))
     sign = np.copysign(np.float32(1.0), dot)
-    square: Array = np.zeros_like(sign)
+    square: Floats = np.zeros_like(sign)
     for i, part in enumerate(left):
         difference = part * sign - right[..., i]
         square += difference * difference
-    angle: Array = 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(square), np.float32(1.0)))
+    angle: Floats = 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(square), np.float32(1.0)))
     return angle
 
 

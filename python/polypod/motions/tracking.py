@@ -93,7 +93,7 @@ class Tracker:
         self.robots: list[str] = env.robots
         self.references: list[Reference] = []
         self.columns: list[Ids] = []
-        self.ahead: list[Array] = []
+        self.ahead: list[npt.NDArray[np.float32]] = []
         """Joints of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
         self.com: list[Array] = []
         shapes = json.loads(env.sim.robot_shapes())
@@ -153,7 +153,7 @@ class Tracker:
         self.bins.decay(env.memory)
         self.clear()
 
-    def command(self, env: Any) -> Array:
+    def command(self, env: Any) -> npt.NDArray[np.float32]:
         """[num_envs, 2 look-ahead * joints], positions less the default pose, then velocities.
 
         Only envs whose frame has changed are computed: after a reset they are few.
@@ -274,7 +274,7 @@ class Tracker:
         )
 
 
-def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> Array:
+def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> npt.NDArray[np.float32]:
     """[frames, 2 look-ahead, actions], joints some steps after each frame; a clip ends at rest."""
     whole = np.zeros((len(reference.joint_pos), 2 * len(look_ahead), actions), dtype=np.float32)
     frame = np.arange(len(whole))
@@ -343,7 +343,7 @@ def _events(tracker: Find) -> list[Any]:
 
 def _observations(tracker: Find, found: Options) -> list[Any]:
     @terms.observation(size=2 * len(found.look_ahead), mirror="per_joint", name=COMMAND)
-    def command(env: Any) -> Array:
+    def command(env: Any) -> npt.NDArray[np.float32]:
         return tracker(env).command(env)
 
     @command.update
@@ -371,7 +371,7 @@ def axes(quaternion: Array) -> Array:
     return np.concatenate([matrix[..., 0], matrix[..., 2]], axis=-1)
 
 
-def _square(error: Array) -> Array:
+def _square(error: npt.NDArray[Any]) -> Array:
     """Sum of squares over the last axis."""
     total: Array = np.square(error).sum(axis=-1)
     return total

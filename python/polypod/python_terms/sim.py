@@ -206,9 +206,7 @@ class TermSim(_core.VecSim):
 
     def observed(self, group: str = POLICY) -> dict[str, FloatArray]:
         """Present values of the terms that a group observes, [num_envs, width], without noise."""
-        return {
-            term.name: self._value(term, width) for term, width in self._columns if (term.group or POLICY) == group
-        }
+        return {term.name: self._value(term, width) for term, width in self._columns if (term.group or POLICY) == group}
 
     def look_at(self, view: TermEnv) -> None:
         """Lets the terms see `view` in the place of the simulator's own state."""

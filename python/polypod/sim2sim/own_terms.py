@@ -64,10 +64,8 @@ class _State:
         self.rows = slice(*sim.env_ids(robot))
         self._begin: dict[str, npt.NDArray[np.float32]] = {}
         self.driven: Driven | None = None
-        self._effort = np.zeros(0)
         self.command: npt.NDArray[np.float32] = sim.state("command").copy()
         self.previous = np.zeros((sim.num_envs, sim.num_actions), dtype=np.float32)
-        self.is_fresh = True
         self.episode_length: npt.NDArray[np.int64] = np.zeros(sim.num_envs, dtype=np.int64)
         self.action_mask = sim.action_mask
         self._is_written = False
@@ -79,7 +77,9 @@ class _State:
     def state(self, field: str) -> npt.NDArray[np.float32]:
         """See `VecSim.state`. Raises ConfigError for what MuJoCo's state does not hold."""
         if field in REFUSED:
-            raise _core.ConfigError(f"{field}: MuJoCo does not answer it, since {REFUSED[field]}; see docs/write-a-term.md")
+            raise _core.ConfigError(
+                f"{field}: MuJoCo does not answer it, since {REFUSED[field]}; see docs/write-a-term.md"
+            )
         if field in KINEMATICS:
             self.write()
             return self._sim.state(field)
@@ -121,8 +121,8 @@ class _State:
     def valid(self) -> npt.NDArray[np.bool_]:
         """[envs of the robot], whether MuJoCo's state is finite."""
         assert self.driven is not None
-        valid: npt.NDArray[np.bool_] = np.isfinite(self.driven.qpos).all(axis=1)
-        valid &= np.isfinite(self.driven.qvel).all(axis=1)
+        state = np.concatenate([self.driven.qpos, self.driven.qvel], axis=1)
+        valid: npt.NDArray[np.bool_] = np.isfinite(state).all(axis=1)
         return valid
 
     def write(self) -> None:
