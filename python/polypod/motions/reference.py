@@ -99,6 +99,8 @@ class Errors:
     """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
     """[n], angle."""
+    heading: Array
+    """[n], angle of the base's heading from the reference's, to the left."""
     gravity: Array
     """[n], difference of the vertical direction's z component in base axes."""
     link_pos: Floats
@@ -145,6 +147,7 @@ def errors(reference: Reference, frame: Ids, pos: Floats, quat: Floats, lin: Flo
     return Errors(
         anchor_pos=ref_base - base,
         anchor_ori=turns.angle(ref_turn, turn),
+        heading=heading,
         gravity=np.abs(ref_down - own_down),
         link_pos=link_pos,
         link_ori=_angle(turned, quat.astype(np.float32, copy=False)),

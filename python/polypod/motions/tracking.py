@@ -404,6 +404,8 @@ def _rewards(tracker: Find, found: Options) -> list[Any]:
 
 
 DEVIATIONS: dict[str, Callable[[Errors, Reference], Array]] = {
+    "bad_anchor_pos": lambda e, _: np.linalg.norm(e.anchor_pos, axis=1),
+    "bad_anchor_heading": lambda e, _: np.abs(e.heading),
     "bad_anchor_pos_z_only": lambda e, _: np.abs(e.anchor_pos[:, 2]),
     "bad_anchor_ori": lambda e, _: e.gravity,
     "bad_motion_body_pos_z_only": lambda e, ref: np.abs(e.link_pos[:, ref.ends, 2]).max(axis=1),
