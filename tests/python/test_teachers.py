@@ -15,7 +15,7 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.training import session
-from polypod.training.runner import Runner
+from polypod.training.taught_runner import TaughtRunner
 from polypod.training.teachers import Teachers
 
 SENSED = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "joint_vel_rel", "last_action")
@@ -127,8 +127,8 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
         shares.append(self.alg.teacher_share)
         return loss
 
-    original = Runner._update
-    monkeypatch.setattr(Runner, "_update", recorded)
+    original = TaughtRunner._update
+    monkeypatch.setattr(TaughtRunner, "_update", recorded)
     named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
     options = session.Options(
         **OPTIONS,
@@ -181,7 +181,7 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
     rates, sums = [], []
 
     def recorded(self, observations):
-        rates.extend(group["lr"] for group in self.alg.optimizer.param_groups)
+        rates.extend(float(group["lr"]) for group in self._optimizer().param_groups)
         first, stop = self.env.unwrapped.sim.env_ids("unitree_go2")
         total = self.alg._weights.sum()
         sums.append(float(self.alg._weights[first:stop].sum() / total))
@@ -193,8 +193,8 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
         assert loss["behavior"] == pytest.approx(mean, rel=1e-4)
         return loss
 
-    original = Runner._update
-    monkeypatch.setattr(Runner, "_update", recorded)
+    original = TaughtRunner._update
+    monkeypatch.setattr(TaughtRunner, "_update", recorded)
     named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
     options = session.Options(
         **OPTIONS,
