@@ -33,7 +33,7 @@ class Sim:
 
 
 def record(heights, running=None):
-    """Episodes of a robot that is to be 1 m high; heights [steps, 3]."""
+    """Episodes of a robot that must be 1 m high; heights [steps, 3]."""
     sim = Sim()
     found = rising.Record(sim, {"one": rising.Goal(np.array([0.0, 0.0, 1.0]), 1.0)})
     for step, row in enumerate(heights):

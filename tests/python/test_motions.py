@@ -204,7 +204,7 @@ def test_a_drawing_of_ones_own_is_checked(tmp_path):
 @pytest.mark.parametrize("robot", ["unitree_g1", "unitree_h1", "booster_t1"])
 @pytest.mark.parametrize("name", ["walk", "turn"])
 def test_steps_press_on_the_foot_that_stands(name, robot):
-    """The ground's force acts at most 6 mm from where it is wanted, by the whole body's dynamics."""
+    """The ground's force acts within 6 mm of where it must, by the whole body's dynamics."""
     body = body_of(robot)
     motion = key_poses.draw(name, body)
     steps = key_poses.read(name).step
@@ -214,7 +214,7 @@ def test_steps_press_on_the_foot_that_stands(name, robot):
     loads = balance.loads(spans, times)
     points = balance.zero_moment_points(body, motion)
     assert np.abs(points - balance.wanted(body, feet, yaw, loads))[1:-1].max() < 0.006
-    # single support: within 3.5 cm of the line ahead of the foot that stands, and away from the other
+    # single support: within 3.5 cm of the line ahead of the foot that stands
     for side in range(2):
         alone = loads[:, side] > 1.0 - 1e-9
         assert alone.mean() > 0.2

@@ -21,7 +21,7 @@ TILT = math.radians(20.0)
 HEIGHT = 0.9
 """Least height of a base that is up, as a share of the height wanted."""
 WITHIN_S = 4.0
-"""Time in which a robot is to be up, s."""
+"""Time in which a robot must get up, s."""
 BEFORE_THE_END_S = 1.0
 """Least time that a robot must have been up at the end of its episode, s."""
 
@@ -68,7 +68,7 @@ def least_height(share: float, info: Mapping[str, Any]) -> float:
 
 
 def goals(sim: _core.VecSim, configs: Mapping[str, Any]) -> dict[str, Goal]:
-    """Goals of the robots whose rewards have `upright` and `torso_height`; `configs` are resolved."""
+    """Goals of robots rewarded for `upright` and `torso_height`; `configs` are resolved."""
     infos, found = json.loads(sim.robot_info()), {}
     for robot in sim.robots:
         rewards = configs["task"].get("rewards", {}).get(configs["robots"][robot]["reward_set"], {})
@@ -117,7 +117,7 @@ class Record:
         self._longest = np.maximum(self._longest, self._since)
 
     def episodes(self) -> dict[str, Array]:
-        """[num_envs] each: when an env is up to the end, s, infinite where it is not, and `held`."""
+        """[num_envs] each: when an env is up to the end, s, or infinity; and `held`, s."""
         dt = self._sim.step_dt
         since = self._since * dt
         is_late = since < BEFORE_THE_END_S - 1e-9

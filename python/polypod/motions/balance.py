@@ -86,9 +86,9 @@ def wanted(body: Body, position: Array, yaw: Array, load: Array) -> Array:
 
 
 def sway(error: Array, height: float, fps: float, gravity: float) -> Array:
-    """[frames, 2], motion of a pendulum whose zero-moment point moves by `error`; at rest at the ends.
+    """[frames, 2], motion of a pendulum whose zero-moment point moves by `error`.
 
-    It solves c - height / gravity c'' = error by elimination.
+    It is at rest at the ends, and solves c - height / gravity c'' = error by elimination.
     """
     k = height / gravity * fps * fps
     count = len(error)

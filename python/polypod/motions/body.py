@@ -65,7 +65,7 @@ class Body:
     key_links: tuple[str, ...]
     """Base, torso, hips, knees, feet, shoulders, elbows and hands."""
     rest_point: Array
-    """[2], centre of mass of the default pose on the ground, the base above the world's origin, m."""
+    """[2], centre of mass of the default pose, the base above the world's origin, m."""
 
     def slot(self, name: str) -> int | None:
         """Index into the slots; None where the body lacks the role."""

@@ -47,7 +47,7 @@ class Reference:
     link_lin_vel: Array
     link_ang_vel: Array
     single: tuple[npt.NDArray[np.float32], ...]
-    """Of the key links in single precision: ways from the base, orientations, linear and angular
+    """Key links in single precision: ways from the base, orientations, linear and angular
     velocities."""
 
     @classmethod
@@ -126,7 +126,7 @@ def errors(reference: Reference, frame: Ids, pos: Floats, quat: Floats, lin: Flo
     base, turn = pos[:, 0].astype(np.float64), quat[:, 0].astype(np.float64)
     ref_base, ref_turn = reference.base_pos[frame], reference.base_quat[frame]
     heading = rotations.heading(rotations.product(turn, rotations.inverse(ref_turn)))
-    # what each env has for each link is the larger part of the work, and single precision is enough
+    # links of envs are the larger part of the work, and single precision is enough
     cos, sin = (of(heading).astype(np.float32)[:, np.newaxis] for of in (np.cos, np.sin))
     offset, ref_quat, ref_lin, ref_ang = (np.take(rows, frame, axis=0) for rows in reference.single)
     link_pos = (base[:, np.newaxis] - pos).astype(np.float32)

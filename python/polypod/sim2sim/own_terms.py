@@ -44,16 +44,16 @@ CONSTANT = frozenset(
         "terrain_tiles",
     }
 )
-"""Of `env.sim`, what an episode does not change: polypod's simulator answers."""
+"""Names of `env.sim` that an episode does not change: polypod's simulator answers."""
 KINEMATICS = frozenset({"feet_pos", "feet_height", "feet_vel"})
-"""Of `State`, what polypod computes from the positions and velocities of MuJoCo."""
+"""Fields of `State` that polypod computes from the positions and velocities of MuJoCo."""
 REFUSED = {
     "joint_acc": "accelerations of a physics step depend on the simulator",
     "contact_forces": "its contacts are not those of polypod's feet",
     "feet_air_time": "its contacts are not those of polypod's feet",
     "feet_contact_time": "its contacts are not those of polypod's feet",
 }
-"""Of `State`, what is not answered, and why."""
+"""Fields of `State` that are not answered, and why."""
 
 
 class _State:
@@ -198,13 +198,13 @@ class OwnTerms:
         return _WithTerms(policy, self)
 
     def begin(self, driven: Driven) -> None:
-        """Sees the robots after their reset. Raises ConfigError for a term that cannot be answered."""
+        """Sees the robots after their reset. Raises ConfigError for a term without answer."""
         self._state.driven = driven
         self._observe()
-        self.sim.ended()  # what a termination cannot read is refused before the episode
+        self.sim.ended()  # terminations without answer are refused before the episode
 
     def step(self, driven: Driven, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
-        """One control step of the robots, see `Driven.step`; terminations of the terms are falls."""
+        """One control step, see `Driven.step`; terminations of the terms are falls."""
         state = self._state
         state.command[state.rows] = commands
         self.sim.before_physics()
