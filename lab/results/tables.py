@@ -260,9 +260,14 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
     def values(group: str, robot: str, key: str) -> list[float]:
         return [getattr(result, key) for result in found[group].get(robot, [])]
 
+    of_other_robots = len({tuple(robots) for robots in found.values()}) > 1
+    of_walking = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
+    if len(found) > 1 and of_other_robots and all(of_walking.values()):
+        # policies of different bodies, each judged: a table each
+        return [part for group, robots in found.items() for part in _by_robot({group: robots})]
     if len(found) == 1:
         (group,) = found
-        judged = all(_judged(results) for results in found[group].values())
+        judged = of_walking[group]
         extra = [*(label for label, _ in WALKING.values()), "walks"] if judged else []
         head = ["robot", "episodes", *(label for label, _ in FIGURES.values()), *extra]
         rows = []
@@ -271,7 +276,6 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures, *(_walking(results) if judged else [])])
         return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
-    of_walking = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
     rows = []
     for robot in _robots(found):
         row = [robot]

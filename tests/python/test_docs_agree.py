@@ -560,8 +560,8 @@ WRONG = (
     ("library", "docs/accuracy.md", "The README's summary is of the\nfirst nine robots."),
     ("library", "docs/networks.md", "A policy over 25 robots on two, four and six legs."),
     ("policies", "README.md", "One walks with 17 bodies on two, four and six legs."),
-    ("policies", "README.md", "`legged` walks with 22 of 24 kinds."),
-    ("policies", "docs/status.md", "It walks with 23 of 24."),
+    ("policies", "README.md", "`legged` walks with 22 of 25 kinds."),
+    ("policies", "docs/status.md", "It walks with 23 of 25."),
     ("policies", "README.md", "Both walk with eight of eight quadrupeds."),
     (
         "policies",

@@ -15,6 +15,7 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.training import session
+from polypod.training.runner import Runner
 from polypod.training.taught_runner import TaughtRunner
 from polypod.training.teachers import Teachers
 
@@ -301,6 +302,30 @@ def test_each_step_of_adam_learns_from_one_control_step_in_turn(specialist, tmp_
     assert session.train(of_three(specialist, tmp_path, 1, *epochs)) == 0
     moved = [found[name] for name in found["after"] if not name.startswith(("mlp.deviation", "mlp.attention.bias"))]
     assert min(moved) > 1e-4
+
+
+def test_a_student_that_remembers_learns_in_the_loop_of_rsl_rl(specialist, tmp_path, monkeypatch):
+    kinds, losses = [], []
+
+    def recorded(self, observations):
+        kinds.append(type(self))
+        losses.append(update(self, observations)["behavior"])
+        return {"behavior": losses[-1]}
+
+    update = Runner._update
+    monkeypatch.setattr(Runner, "_update", recorded)
+    changes = ("class_name='RNNModel'", "rnn_type='gru'", "rnn_hidden_dim=32", "rnn_num_layers=1", "init_std=0.2")
+    options = of_three(specialist, tmp_path, 6, "algorithm.learning_rate=0.003")
+    options = dataclasses.replace(
+        options,
+        robots=["unitree_go2", "solo12"],
+        train_config="flat",
+        overrides=[*options.overrides, *(f"train.actor.{change}" for change in changes)],
+    )
+    options.overrides[:] = [change for change in options.overrides if "joint_dim" not in change]
+    assert session.train(options) == 0
+    assert set(kinds) == {Runner}
+    assert losses[-1] < 0.8 * losses[0]
 
 
 @pytest.mark.parametrize(

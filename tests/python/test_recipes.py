@@ -1,0 +1,99 @@
+"""A recipe trains its stages in order, goes on where it ended, and its model becomes a bundled policy."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lab import recipe
+from polypod import _core, bundled
+from polypod.evaluation import evaluate_checkpoint
+from polypod.runs import config
+
+ROOT = Path(__file__).parents[2]
+LEGGED = ROOT / "lab" / "recipes" / "legged"
+PLAN = """
+bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped", "--prefix", "d"]]
+[groups]
+dogs = ["solo12"]
+[[stages]]
+name = "teacher"
+config = "teacher.toml"
+robots = ["@dogs"]
+iterations = 1
+[[stages]]
+name = "student"
+config = "student.toml"
+robots = ["@dogs", "@drawn.0"]
+iterations = 1
+shares = { "@dogs" = 3 }
+changes = ["sim.episode_length_s=0.4"]
+[stages.teachers]
+"@dogs" = "teacher"
+"""
+SMALL = "num_envs = 8\nnum_steps_per_env = 4\n"
+
+
+def lab(*words: str) -> str:
+    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Path, Path]:
+    """A small recipe of two stages, and what it leaves."""
+    folder, out = tmp_path_factory.mktemp("recipe"), tmp_path_factory.mktemp("out")
+    (folder / "plan.toml").write_text(PLAN)
+    (folder / "teacher.toml").write_text(f'extends = "teacher"\n[run]\n{SMALL}')
+    text = (LEGGED / "student.toml").read_text().replace('"teacher.toml"', f'"{LEGGED / "teacher.toml"}"')
+    text = text.replace("num_envs = 4096\n", "").replace("num_steps_per_env = 24\n", SMALL)
+    (folder / "student.toml").write_text(text.replace("[512, 256, 128]", "[32]").replace("= 96", "= 16"))
+    (folder / "configs").symlink_to(LEGGED / "configs")
+    said = lab("lab.recipe", str(folder), "--out", str(out))
+    assert "teacher: exit code 0" in said, (out / "teacher.log").read_text()
+    assert "student: exit code 0" in said, (out / "student.log").read_text()
+    return folder, out
+
+
+def test_stages_leave_models_and_are_not_trained_again(made):
+    folder, out = made
+    manifest = json.loads((out / "student" / "manifest.json").read_text())
+    assert manifest["robots"] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert manifest["overrides"] == ["sim.episode_length_s=0.4", "env_shares.solo12=3"]
+    assert manifest["train_config"]["distillation"]["teachers"]["solo12"] == str(out / "teacher" / "model.pt")
+    assert manifest["train_config"]["distillation"]["teachers"]["*"] == str(bundled.checkpoint("quadruped"))
+    assert lab("lab.recipe", str(folder), "--out", str(out)).splitlines() == [
+        "teacher: is there",
+        "student: is there",
+    ]
+
+
+def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
+    _, out = made
+    words = (str(out / "student" / "model.pt"), str(tmp_path / "policy"), "--task", "velocity_flat_any_legged")
+    lab("lab.bundle", *words)
+    (model,) = (tmp_path / "policy").glob("model_*.pt")
+    manifest = json.loads((tmp_path / "policy" / "manifest.json").read_text())
+    assert manifest["robots"] == ["solo12"]
+    assert [body["name"] for body in manifest["trained_bodies"]] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert str(out) not in json.dumps(manifest)
+    found = evaluate_checkpoint(model, ["solo12", "unitree_h1"], num_envs=2, steps=3, threads=1)
+    assert sorted(found.robots) == ["solo12", "unitree_h1"]
+
+
+def test_the_recipe_of_the_bundled_policy_can_be_run(tmp_path):
+    """Its stages name train configs that load, robots of the library, and stages before them."""
+    plan = recipe.read(LEGGED)
+    library = {entry["name"] for entry in _core.robots()}
+    known = set(bundled.NAMES)
+    for stage in plan.stages:
+        config.load(str(LEGGED / stage.config))
+        robots = plan.robots(stage.robots, tmp_path)
+        assert set(robots) <= library, stage.name
+        assert {*stage.teachers.values(), *([stage.init] if stage.init else [])} <= known, stage.name
+        known.add(stage.name)
+    manifest = json.loads((bundled.checkpoint("legged").parent / "manifest.json").read_text())
+    assert sorted(manifest["robots"]) == sorted(library) == sorted(robots)
