@@ -64,7 +64,7 @@ def test_the_network_acts_as_torch_does(exported_policy, trained):
 def test_the_rust_test_expects_these_actions(trained):
     """Expected outputs; POLYPOD_WRITE_EXPECTED=1 rewrites them.
 
-    `tests/policies_run_without_python.rs` compares tract with them.
+    `tests/program/policies_run_without_python.rs` compares tract with them.
     """
     if os.environ.get("POLYPOD_WRITE_EXPECTED"):
         sim = polypod.VecSim(TASK, 16, seed=1, threads=1)

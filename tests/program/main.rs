@@ -3,6 +3,7 @@
 use std::process::Command;
 
 #[allow(dead_code, reason = "shared with the promises of the library, which use the rest")]
+#[path = "../common/mod.rs"]
 mod common;
 
 mod a_broken_state_is_dumped_once_and_replays;

@@ -48,7 +48,7 @@ struct JointFacts {
 }
 
 fn robots() -> Vec<(String, Model, RobotFacts)> {
-    let facts: Facts = serde_json::from_str(include_str!("data/more_robot_facts.json")).unwrap();
+    let facts: Facts = serde_json::from_str(include_str!("../data/more_robot_facts.json")).unwrap();
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/robots");
     let mut names: Vec<String> = std::fs::read_dir(&folder)
         .unwrap()

@@ -11,7 +11,7 @@ use polypod::world::{Ground, below};
 use polypod::{Sim, SimOptions};
 
 /// 1 m long, 1 m wide, 0.2 m high at its end.
-const WEDGE: &str = include_str!("data/wedge.obj");
+const WEDGE: &str = include_str!("../data/wedge.obj");
 
 /// A folder with a task `mine`, which has this obstacle, and with the wedge.
 fn folder(test: &str, obstacle: &str) -> PathBuf {

@@ -39,7 +39,7 @@ struct FootFacts {
 
 /// Every robot with its facts.
 fn robots() -> Vec<(MorphologyModel, RobotFacts)> {
-    let mut facts: Facts = serde_json::from_str(include_str!("data/robot_facts.json")).unwrap();
+    let mut facts: Facts = serde_json::from_str(include_str!("../data/robot_facts.json")).unwrap();
     let library = Library::new(Vec::new());
     let robots: Vec<_> = ROBOTS
         .into_iter()

@@ -196,7 +196,7 @@ fn actuators_that_make_no_sense_are_refused() {
         assert_error(&error, &file, element, problem, "");
     }
     // a robot that leaves its speeds to the URDF
-    let spot = include_str!("../configs/robots/spot.toml").replace("name = \"spot\"", "name = \"free\"");
+    let spot = include_str!("../../configs/robots/spot.toml").replace("name = \"spot\"", "name = \"free\"");
     let lines: Vec<&str> = spot.lines().filter(|line| !line.starts_with("velocity_limit")).collect();
     root.write("configs/robots/free.toml", &lines.join("\n"));
     let (error, file) = root.robot_error("free", "[actuators.hips]\nmodel = \"dc_motor\"\ndelay = [0, 0]");

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-#[path = "../fuzz/src/lib.rs"]
+#[path = "../../fuzz/src/lib.rs"]
 mod targets;
 
 /// Gives each file of a folder to a target. Both outcomes must come about: a target that refuses
