@@ -9,7 +9,7 @@ use polypod_sim::policy::{Policy, PolicyManifest, sha256};
 use serde::Deserialize;
 
 /// Observations of the simulator and the actions that torch gives on them; written by
-/// `tests/python/test_export.py`.
+/// `tests/python/deploy/test_export.py`.
 #[derive(Deserialize)]
 struct Expected {
     observations: Vec<Vec<f32>>,

@@ -48,10 +48,11 @@ sensed of the ground."""
 TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 """Options of a training that takes about a second."""
 
-_ROOT = Path(__file__).parents[2]
-_POLICIES = _ROOT / "python" / "polypod" / "policies"
+ROOT = Path(__file__).resolve().parents[2]
+"""The checkout."""
+_POLICIES = ROOT / "python" / "polypod" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
 (LEGGED_POLICY,) = (_POLICIES / "legged_masked").glob("model_*.pt")
 """The bundled checkpoints."""
-ROBOT_FOLDER = _ROOT / "assets" / "robots"
+ROBOT_FOLDER = ROOT / "assets" / "robots"

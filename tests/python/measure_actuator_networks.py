@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from test_actuator_networks import BASE, MLP, TASK, lstm, onnx_of, toml
 
+from actuator_files import BASE, MLP, TASK, lstm, onnx_of, toml
 from polypod import _core
 from polypod.provenance import measured, sentence
 

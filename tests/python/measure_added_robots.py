@@ -23,6 +23,7 @@ from pathlib import Path
 import mujoco
 import tomllib
 
+from common import ROOT
 from polypod import _core, documents
 from polypod.add import add, judge, mjcf
 from polypod.documents import table
@@ -54,7 +55,7 @@ FOLDERS = {"asset_zoo", "robots", "xmls", "robot_model", "envs", "mujoco", "asse
     "suite",
 }
 """Folders that say nothing of a robot."""
-DOCUMENT = Path(__file__).parents[2] / "docs" / "added-robots.md"
+DOCUMENT = ROOT / "docs" / "added-robots.md"
 LEGGED = re.compile(
     r"""/(a1|a2|aliengo|alex|alexander|anymal\w*|ant|apollo|b1|b2|berkeley_humanoid|bolt|centauro|dog|fruitfly|g1|go1|go2
     |h1|half_cheetah|hector\w*|hextilt|hopper|humanoid\w*|hyq\w*|icub|laikago|mini_cheetah|op3|pegasus|quadruped|rodent

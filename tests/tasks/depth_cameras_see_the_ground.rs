@@ -1,5 +1,5 @@
 //! A depth camera's image is the ground along its pixels: held between frames, late, lost, saved,
-//! mirrored, and of some robots alone. `tests/python/test_depth_camera.py` compares it with
+//! mirrored, and of some robots alone. `tests/python/env/test_depth_camera.py` compares it with
 //! MuJoCo's rays.
 
 use polypod::components::{BasePose, EnvId, RayCasterCamera};
