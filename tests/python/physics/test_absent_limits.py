@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import polypod
-from go2 import REPOSITORY, URDF, limits, without_actuator_limits, write_go2
+from common import ROOT
+from go2 import URDF, limits, without_actuator_limits, write_go2
 from polypod.compat import tomllib
 
 QUIET = {
@@ -183,5 +184,5 @@ def test_soft_limits_are_not_exceeded_within_them(mine, edit):
 
 
 def reward_terms():
-    task = tomllib.loads((REPOSITORY / "configs/tasks/velocity_flat.toml").read_text())
+    task = tomllib.loads((ROOT / "configs/tasks/velocity_flat.toml").read_text())
     return task["rewards"]["unitree"]
