@@ -629,11 +629,6 @@ pub struct NetworkDescription {
 }
 
 impl MorphologyModel {
-    /// Whether a network drives a physical joint.
-    pub fn is_network_joint(&self, joint: usize) -> bool {
-        self.networks.iter().any(|network| network.joints().contains(&joint))
-    }
-
     /// Torques of the joints that networks drive, before the actuators' limits, and zero for all
     /// others, N m, `[joints]`: for position errors (target less position, rad) and velocities
     /// (rad/s) `[joints]`, one physics step after the other. `memory` holds
