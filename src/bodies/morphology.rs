@@ -24,7 +24,7 @@ pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
 /// A morphology: the description and the config of a robot.
 #[derive(Clone, Debug)]
 pub struct MorphologyModel {
-    /// Its config.
+    /// Resolved config of the robot.
     pub config: RobotConfig,
     /// The merged articulation, in the URDF's frames.
     pub model: Model,
@@ -76,7 +76,7 @@ pub struct SlotJoint {
     /// 1, or -1 where the URDF's axis is turned round: the canonical position is `sign` times the
     /// physical one.
     pub sign: f32,
-    /// Its name.
+    /// Slot that the joint fills.
     pub slot: Slot,
 }
 

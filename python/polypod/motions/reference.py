@@ -89,7 +89,7 @@ class Errors:
     anchor_pos: Array
     """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
-    """[n], angle."""
+    """Angle between the base's orientation and the reference's, [n], rad."""
     gravity: Array
     """[n], difference of the vertical direction's z component in base axes."""
     link_pos: Array
