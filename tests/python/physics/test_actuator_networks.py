@@ -13,8 +13,8 @@ import pytest
 import torch
 
 import polypod
-from actuator_files import BASE, MLP, TASK, Lstm, lstm, onnx_of, toml
 from common import ROOT
+from lab.actuator_networks import BASE, MLP, TASK, Lstm, lstm, onnx_of, toml
 from polypod import _core
 
 FREE = ("sim.decimation=1", "sim.dt=0.005", "observations.enable_noise=false")

@@ -1,14 +1,14 @@
 """Robots of other packages' MJCF and URDF files move as MuJoCo's models of them.
 
 The core tier reads what gymnasium brings along, which polypod needs anyway; the extended tier reads
-every package that is installed. `measure_added_robots.py` says which packages there are and writes
+every package that is installed. `lab/added_robots.py` says which packages there are and writes
 docs/added-robots.md.
 """
 
 import pytest
-from measure_added_robots import PACKAGES, files, row
 
 from common import size
+from lab.added_robots import PACKAGES, files, row
 from polypod.add import judge
 
 FILES = list(files(size({"gymnasium": PACKAGES["gymnasium"]}, PACKAGES)))

