@@ -201,6 +201,19 @@ pub fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Er
     }
 }
 
+/// A number of 0 or above.
+///
+/// # Errors
+/// Negative or not a number.
+pub fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+    let value = f64::deserialize(deserializer)?;
+    if value >= 0.0 {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value} is negative; write a number of 0 or above")))
+    }
+}
+
 /// A share or probability, from 0 to 1.
 ///
 /// # Errors
