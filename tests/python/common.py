@@ -53,6 +53,8 @@ ROOT = Path(__file__).resolve().parents[2]
 _POLICIES = ROOT / "python" / "polypod" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
-(LEGGED_POLICY,) = (_POLICIES / "legged_masked").glob("model_*.pt")
-"""The bundled checkpoints."""
+(LEGGED_POLICY,) = (_POLICIES / "any_legged").glob("model_*.pt")
+"""Bundled checkpoints."""
+(MASKED_POLICY,) = (ROOT / "tests" / "data" / "policies" / "legged_masked").glob("model_*.pt")
+"""A perceptron with a column for every joint of 24 robots, trained by `legged_finish`."""
 ROBOT_FOLDER = ROOT / "assets" / "robots"
