@@ -96,7 +96,7 @@ endif
 
 # In an environment of its own: these packages pin others, and Ray's tests take minutes.
 .test-learners: $(VENV)/.extension $(LEARNERS)/.installed
-	PYTHONPATH=$(CURDIR)/python $(LEARNERS)/bin/python -m pytest -n 0 $(addprefix tests/python/test_,learners.py policies.py ray.py docs_run.py)
+	PYTHONPATH=$(CURDIR)/python $(LEARNERS)/bin/python -m pytest -n 0 $(addprefix tests/python/,train/test_learners.py deploy/test_policies.py train/test_ray.py repository/test_docs_run.py)
 
 # Needs a C++ compiler, for libFuzzer.
 .test-fuzz:

@@ -62,7 +62,7 @@ pub enum Error {
     System {
         /// Name of the system.
         system: String,
-        /// Its error.
+        /// Message of the system's error.
         problem: String,
     },
 }

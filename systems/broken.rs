@@ -13,7 +13,7 @@ use crate::engine::{DivergenceRecord, Motion, StateLimits};
 /// A control step that broke a state: what went in and what came out.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BrokenState {
-    /// The env.
+    /// Env whose state broke.
     pub env: EnvId,
     /// Control steps of the simulation before this one, since it was made.
     pub step: u64,

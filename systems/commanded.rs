@@ -36,7 +36,7 @@ pub trait CommandKind: Send + Sync + 'static {
 
 /// A command of a task other than the velocity.
 pub struct CommandTerm {
-    /// Its name.
+    /// Name of the command in the task's config.
     pub name: String,
     /// Names of its numbers.
     pub columns: &'static [&'static str],

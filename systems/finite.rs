@@ -22,7 +22,7 @@ pub struct FinitePlugin;
 /// A number that is not finite, where no broken episode explains it.
 #[derive(Clone, Debug)]
 pub struct NonFiniteNumber {
-    /// The env.
+    /// Env that the number belongs to.
     pub env: usize,
     /// Name of the component that holds it.
     pub component: &'static str,

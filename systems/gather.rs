@@ -60,7 +60,7 @@ pub enum StateField {
 }
 
 impl StateField {
-    /// All of them.
+    /// Every field, in the order of the documentation.
     pub const ALL: [Self; 21] = [
         Self::BasePos,
         Self::BaseHeight,

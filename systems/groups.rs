@@ -13,6 +13,6 @@ pub(super) struct BodiesInContact {
     /// Normal force that counts, N.
     #[serde(deserialize_with = "values::number_of::<ForceThreshold, _, _>")]
     pub(super) threshold: f32,
-    /// Their groups.
+    /// Groups of the bodies whose contacts count.
     pub(super) bodies: Vec<BodyGroup>,
 }

@@ -172,7 +172,7 @@ impl RobotLog {
             && counts.max() <= Some(MAX_LOGGED)
     }
 
-    /// The means.
+    /// Means over the episodes that were counted; `step_dt` is a control step, s.
     pub fn stats(&self, step_dt: f64) -> EpisodeStats {
         let steps = self.steps.max(1) as f64;
         EpisodeStats {

@@ -68,7 +68,7 @@ class Joint:
     child: str
     at: Vector
     axis: str
-    """x, y or z."""
+    """Axis about which the joint turns: x, y or z."""
     lower: float
     upper: float
     group: str
@@ -89,7 +89,7 @@ class Drive:
     damping_time: float
     """Damping over stiffness, s."""
     armature: float
-    """s^2."""
+    """Rotor inertia, s^2."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -50,7 +50,7 @@ class Body:
     """The description of a body."""
 
     joints: tuple[str, ...]
-    """Slots."""
+    """Slots of the joints."""
     numbers: npt.NDArray[np.float32]
     """[joints, descriptors], descriptions of the joints."""
 

@@ -32,9 +32,9 @@ class Treatment:
     """Operations on a term after it is measured, in this order."""
 
     offset: float = 0.0
-    """Taken off."""
+    """Number that is subtracted."""
     clip: tuple[float, float] | None = None
-    """Limits."""
+    """Lower and upper limit; None: no limits."""
     scale: float = 1.0
     """Factor of the limited numbers."""
 
@@ -47,7 +47,7 @@ class Term:
     """
 
     term: str
-    """Its name."""
+    """Name of the term in the task's config."""
     size: int
     """Number of its values, history included."""
     history_length: int = 1

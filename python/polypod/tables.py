@@ -31,7 +31,7 @@ class Rows:
         self._lines = [(name, *figures)]
 
     def add_row(self, name: str, *figures: str) -> None:
-        """Adds a line."""
+        """Adds a line: a name and its figures."""
         self._lines.append((name, *figures))
 
     def print(self, console: Console) -> None:

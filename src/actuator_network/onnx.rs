@@ -3,7 +3,7 @@
 
 use prost::Message;
 
-/// A file.
+/// ONNX file: a graph and the version of its operators.
 #[derive(Clone, PartialEq, Message)]
 pub(super) struct Model {
     #[prost(message, optional, tag = "7")]

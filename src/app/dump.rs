@@ -49,7 +49,7 @@ pub struct Dump {
     pub robot: String,
     /// The resolved config of the robot, TOML.
     pub robot_config: String,
-    /// Its URDF.
+    /// Text of the robot's URDF.
     pub urdf: String,
     /// Where the URDF came from.
     pub urdf_path: String,

@@ -26,14 +26,14 @@ pub struct BodyOutline {
     pub link: usize,
     /// base, hip, thigh, shank, foot or other.
     pub group: String,
-    /// Its shapes.
+    /// Collision shapes of the body, in the axes of its link.
     pub shapes: Vec<ShapeOutline>,
 }
 
 /// A collision shape; cylinders and capsules lie along z.
 #[derive(Clone, Debug, Serialize)]
 pub struct ShapeOutline {
-    /// The shape.
+    /// Kind and sizes of the shape, m.
     #[serde(flatten)]
     pub geometry: Geometry,
     /// Faces of a convex hull, outward, as indices of its points; None where they cannot be

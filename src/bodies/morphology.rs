@@ -24,7 +24,7 @@ pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
 /// A morphology: the description and the config of a robot.
 #[derive(Clone, Debug)]
 pub struct MorphologyModel {
-    /// Its config.
+    /// Resolved config of the robot.
     pub config: RobotConfig,
     /// The merged articulation, in the URDF's frames.
     pub model: Model,
@@ -76,7 +76,7 @@ pub struct SlotJoint {
     /// 1, or -1 where the URDF's axis is turned round: the canonical position is `sign` times the
     /// physical one.
     pub sign: f32,
-    /// Its name.
+    /// Slot that the joint fills.
     pub slot: Slot,
 }
 
@@ -629,11 +629,6 @@ pub struct NetworkDescription {
 }
 
 impl MorphologyModel {
-    /// Whether a network drives a physical joint.
-    pub fn is_network_joint(&self, joint: usize) -> bool {
-        self.networks.iter().any(|network| network.joints().contains(&joint))
-    }
-
     /// Torques of the joints that networks drive, before the actuators' limits, and zero for all
     /// others, N m, `[joints]`: for position errors (target less position, rad) and velocities
     /// (rad/s) `[joints]`, one physics step after the other. `memory` holds

@@ -100,7 +100,7 @@ pub struct Explained {
 /// A training config, read but not parsed.
 #[derive(Clone, Debug)]
 pub struct TrainFile {
-    /// Its text.
+    /// Text of the file, TOML.
     pub text: String,
     /// Identity of the file, however its path is written.
     pub id: PathBuf,

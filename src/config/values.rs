@@ -165,48 +165,6 @@ pub fn range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::
     }
 }
 
-/// A [`range`] whose lower end is at least 0.
-///
-/// # Errors
-/// As [`range`], or a negative end.
-pub fn non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    let [lower, upper] = range(deserializer)?;
-    if lower >= 0.0 {
-        Ok([lower, upper])
-    } else {
-        Err(D::Error::custom(format!("the lower end {lower} is negative; write a range that begins at 0 or above")))
-    }
-}
-
-/// A [`non_negative_range`] that may be left out (with `#[serde(default)]`).
-///
-/// # Errors
-/// As [`non_negative_range`].
-pub fn optional_non_negative_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
-    non_negative_range(deserializer).map(Some)
-}
-
-/// A [`range`] whose lower end is above 0.
-///
-/// # Errors
-/// As [`range`], or an end of 0 or below.
-pub fn positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    let [lower, upper] = range(deserializer)?;
-    if lower > 0.0 {
-        Ok([lower, upper])
-    } else {
-        Err(D::Error::custom(format!("the lower end {lower} is not positive; write a range above 0")))
-    }
-}
-
-/// A [`positive_range`] that may be left out (with `#[serde(default)]`).
-///
-/// # Errors
-/// As [`positive_range`].
-pub fn optional_positive_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
-    positive_range(deserializer).map(Some)
-}
-
 /// `[fewest, most]` steps of delay, both included, up to [`MAX_DELAY`].
 ///
 /// # Errors
@@ -230,26 +188,6 @@ pub fn optional_step_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result
     step_range(deserializer).map(Some)
 }
 
-/// A [`range`] that may be left out (with `#[serde(default)]`).
-///
-/// # Errors
-/// As [`range`].
-pub fn optional_range<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 2]>, D::Error> {
-    range(deserializer).map(Some)
-}
-
-/// Two lengths of 0 or above, and finite.
-///
-/// # Errors
-/// Not two numbers, or one that is negative or not finite.
-pub fn non_negative_pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
-    let pair = <[f64; 2]>::deserialize(deserializer)?;
-    match pair.iter().find(|x| !(x.is_finite() && **x >= 0.0)) {
-        None => Ok(pair),
-        Some(x) => Err(D::Error::custom(format!("{x} is not a length; write numbers of 0 or above"))),
-    }
-}
-
 /// A number above 0.
 ///
 /// # Errors
@@ -263,14 +201,6 @@ pub fn positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Er
     }
 }
 
-/// A [`positive`] number that may be left out (with `#[serde(default)]`).
-///
-/// # Errors
-/// As [`positive`].
-pub fn optional_positive<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-    positive(deserializer).map(Some)
-}
-
 /// A number of 0 or above.
 ///
 /// # Errors
@@ -282,14 +212,6 @@ pub fn non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D
     } else {
         Err(D::Error::custom(format!("{value} is negative; write a number of 0 or above")))
     }
-}
-
-/// A [`non_negative`] number that may be left out (with `#[serde(default)]`).
-///
-/// # Errors
-/// As [`non_negative`].
-pub fn optional_non_negative<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-    non_negative(deserializer).map(Some)
 }
 
 /// A share or probability, from 0 to 1.

@@ -357,7 +357,7 @@ impl<R> BlockList<R> {
         Self::new(std::iter::once(Block { morphology: Morphology(0), envs, rows }))
     }
 
-    /// The blocks.
+    /// Blocks of the morphologies that have the component, in the order of their envs.
     pub fn iter(&self) -> impl Iterator<Item = &Block<R>> {
         let OrderedBlocks { blocks, order } = &self.blocks;
         order.as_slice().iter().filter_map(|place| blocks.get(*place)?.as_ref())

@@ -363,7 +363,7 @@ pub struct ActuatorMemory(pub Box<[f32]>);
 pub struct ExternalWrench {
     /// Force at the base's centre of mass, N.
     pub force: [f32; 3],
-    /// Torque, N m.
+    /// Torque on the base, N m.
     pub torque: [f32; 3],
 }
 
@@ -379,9 +379,9 @@ pub struct LinkForce {
     pub steps: u32,
     /// Point of the link at which the force acts, in the engine's axes of the link, m.
     pub point: [f32; 3],
-    /// Force, N.
+    /// Force on the link at that point, N.
     pub force: [f32; 3],
-    /// Torque, N m.
+    /// Torque on the link in addition to the force's moment, N m.
     pub torque: [f32; 3],
 }
 

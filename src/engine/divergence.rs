@@ -43,7 +43,7 @@ impl Motion {
 pub struct DivergenceRecord {
     /// The env's morphology.
     pub morphology: usize,
-    /// The env.
+    /// Env whose state broke.
     pub env: usize,
     /// The robot before the step.
     pub before: Motion,

@@ -51,7 +51,7 @@ pub struct Violation {
     pub quantity: Quantity,
     /// Index within the quantity: an axis, or a joint in physical order.
     pub index: usize,
-    /// The number.
+    /// Value of the number, in the unit of its quantity.
     pub value: f32,
     /// Largest allowed magnitude.
     pub limit: f32,

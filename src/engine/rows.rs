@@ -21,7 +21,7 @@ pub(crate) trait RowFamily: 'static {
     const RESIDENT: bool;
     /// Type of the rows' numbers and of the robots' parameters.
     type Number: Real;
-    /// The rows.
+    /// Rows of the robots of one block.
     type Rows<'a>: RobotRows<Number = Self::Number>;
 }
 

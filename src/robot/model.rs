@@ -76,7 +76,7 @@ pub enum JointKind {
 pub struct Joint {
     /// Name in the URDF.
     pub name: String,
-    /// How it moves.
+    /// Motion that the joint allows.
     pub kind: JointKind,
     /// Index of the parent in [`Model::links`].
     pub parent: usize,

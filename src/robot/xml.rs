@@ -14,7 +14,7 @@ const MAX_NODES: u32 = 4 << 20;
 pub(super) struct Fault {
     pub line: usize,
     pub column: usize,
-    /// A clause.
+    /// Problem as a clause, without a full stop.
     pub problem: String,
     pub remedy: &'static str,
 }

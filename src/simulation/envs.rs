@@ -125,7 +125,7 @@ impl<'a> EnvRows<'a> {
         Self { envs: &mut [], first: 0, actuation }
     }
 
-    /// One env.
+    /// Rows of a single env, whose state is read or set.
     pub(super) fn of(env: &'a mut Env) -> Self {
         Self { envs: std::slice::from_mut(env), first: 0, actuation: Actuation::Effort(Rows::zero()) }
     }

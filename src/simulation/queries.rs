@@ -204,7 +204,7 @@ fn link_states(body: &mut Bodies) -> [[f64; 3]; 3] {
     rotation
 }
 
-/// From rows.
+/// Matrix with these rows.
 fn matrix(rows: &[[f64; 3]; 3]) -> DMat3 {
     DMat3::from_cols_array_2d(rows).transpose()
 }

@@ -103,12 +103,40 @@ struct Objects {
     tilt: f64,
     /// Radius about its middle that holds an object, m.
     reach: f64,
+    /// Height at which objects begin, below the ground where they are tilted, m.
+    root: f64,
     abs_noise: [f64; 2],
     rel_noise: [f64; 2],
     platform: f64,
 }
 
 impl Objects {
+    /// Objects of a level whose underside fits into a circle of `radius`, m. Number, height and
+    /// tilt (degrees) are given at the easiest and at the hardest level; noise as absolute, then
+    /// relative heights.
+    fn between(
+        level: &Level,
+        num_objects: [u32; 2],
+        height: [f64; 2],
+        max_tilt: [f64; 2],
+        radius: f64,
+        [abs_noise, rel_noise]: [[f64; 2]; 2],
+        platform: f64,
+    ) -> Self {
+        let height = level.rising(height);
+        let tilt = level.ratio(max_tilt).to_radians();
+        Self {
+            count: level.ratio(num_objects.map(f64::from)).round() as u32,
+            height,
+            tilt,
+            reach: radius + height * Real::sin_cos(tilt).0,
+            root: if tilt > 0.0 { -ROOT * radius } else { 0.0 },
+            abs_noise,
+            rel_noise,
+            platform,
+        }
+    }
+
     /// The level ground, the platform, and the objects, each drawn by `draw` at its height with its
     /// heading; objects are tilted about the middle of their underside.
     fn mesh(
@@ -162,20 +190,16 @@ const ROOT: f64 = 1.8;
 pub(super) fn boxes(c: &RepeatedBoxesConfig, level: &Level, rng: &mut EnvRng) -> Mesh {
     let (a, b) = (&c.object_params_start, &c.object_params_end);
     let size = [0, 1].map(|axis| level.ratio([a.size[axis], b.size[axis]]) * level.scale);
-    let reach = 0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt();
-    let height = level.rising([a.height, b.height]);
-    let angle = level.ratio([a.max_yx_angle, b.max_yx_angle]).to_radians();
-    let leaning = Real::sin_cos(angle).0;
-    let objects = Objects {
-        count: level.ratio([a.num_objects, b.num_objects].map(f64::from)).round() as u32,
-        height,
-        tilt: angle,
-        reach: reach + height * leaning,
-        abs_noise: c.abs_height_noise,
-        rel_noise: c.rel_height_noise,
-        platform: c.platform_width,
-    };
-    let root = if angle > 0.0 { -ROOT * reach } else { 0.0 };
+    let objects = Objects::between(
+        level,
+        [a.num_objects, b.num_objects],
+        [a.height, b.height],
+        [a.max_yx_angle, b.max_yx_angle],
+        0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt(),
+        [c.abs_height_noise, c.rel_height_noise],
+        c.platform_width,
+    );
+    let root = objects.root;
     objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
         let corners = |z: f64| {
             [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[u, v]| move_to([u * size[0], v * size[1], z]))
@@ -188,19 +212,16 @@ pub(super) fn boxes(c: &RepeatedBoxesConfig, level: &Level, rng: &mut EnvRng) ->
 pub(super) fn round(c: &RepeatedRoundConfig, level: &Level, sides: usize, rng: &mut EnvRng) -> Mesh {
     let (a, b) = (&c.object_params_start, &c.object_params_end);
     let radius = level.rising([a.radius, b.radius]);
-    let height = level.rising([a.height, b.height]);
-    let angle = level.ratio([a.max_yx_angle, b.max_yx_angle]).to_radians();
-    let leaning = Real::sin_cos(angle).0;
-    let objects = Objects {
-        count: level.ratio([a.num_objects, b.num_objects].map(f64::from)).round() as u32,
-        height,
-        tilt: angle,
-        reach: radius + height * leaning,
-        abs_noise: c.abs_height_noise,
-        rel_noise: c.rel_height_noise,
-        platform: c.platform_width,
-    };
-    let root = if angle > 0.0 { -ROOT * radius } else { 0.0 };
+    let objects = Objects::between(
+        level,
+        [a.num_objects, b.num_objects],
+        [a.height, b.height],
+        [a.max_yx_angle, b.max_yx_angle],
+        radius,
+        [c.abs_height_noise, c.rel_height_noise],
+        c.platform_width,
+    );
+    let root = objects.root;
     objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
         let corners = |z: f64| -> Vec<[f64; 3]> {
             let corner = |k: usize| {

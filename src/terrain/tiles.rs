@@ -8,7 +8,7 @@ use crate::config::{BoxesConfig, StairsConfig, SubTerrainShape, TerrainConfig};
 
 /// How hard a tile is.
 pub(super) struct Level<'a> {
-    /// The terrain.
+    /// Config of the terrain that the tile belongs to.
     pub(super) config: &'a TerrainConfig,
     /// Difficulty, as a share of the ranges.
     pub(super) difficulty: f64,

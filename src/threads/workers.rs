@@ -40,14 +40,14 @@ impl<R: SplitRows> SplitRows for Option<R> {
 
 /// A row-major matrix, by rows.
 pub struct MatrixRows<'a, T> {
-    /// All numbers.
+    /// Numbers of all rows, one row after the other.
     pub data: &'a mut [T],
     /// Numbers in a row.
     pub width: usize,
 }
 
 impl<T> MatrixRows<'_, T> {
-    /// Row `i`.
+    /// Numbers of row `i`, `[width]`.
     pub fn row(&mut self, i: usize) -> &mut [T] {
         &mut self.data[i * self.width..(i + 1) * self.width]
     }

@@ -58,7 +58,7 @@ impl RewardTerm {
 
 /// One term of an observation group.
 pub struct ObservationTerm {
-    /// Its name.
+    /// Name of the term in the task's config.
     pub name: String,
     /// Number of values in an observation, with its history.
     pub size: usize,
@@ -105,7 +105,7 @@ pub struct ObservationGroup {
 
 /// One reason for an episode to end.
 pub struct TerminationTerm {
-    /// Its name.
+    /// Name of the term in the task's config.
     pub name: String,
     /// Whether it truncates the episode rather than failing it.
     pub time_out: bool,

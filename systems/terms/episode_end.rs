@@ -6,7 +6,7 @@ use crate::terrain::TerrainLayout;
 
 /// An episode that is over, and what its end may change.
 pub struct EpisodeEnd<'a> {
-    /// How it ended.
+    /// Length of the episode and the causes of its end.
     pub episode: &'a Episode,
     /// Where the robot was then.
     pub pose: &'a BasePose,
@@ -16,7 +16,7 @@ pub struct EpisodeEnd<'a> {
     pub sums: &'a EpisodeSums,
     /// Morphology of the robot, as its place among those of the task.
     pub(in crate::systems) robot: usize,
-    /// The task.
+    /// Compiled task of the batch.
     pub(in crate::systems) task: &'a CompiledTask,
     /// Progress of the env through the curriculum.
     pub progress: &'a mut CurriculumProgress,

@@ -312,11 +312,6 @@ impl Registry {
         self.commands.iter().map(|(name, registered)| (*name, &registered.spec))
     }
 
-    /// Names of all curriculum terms.
-    pub fn curriculum_names(&self) -> impl Iterator<Item = &'static str> {
-        self.curriculum.keys().copied()
-    }
-
     /// A curriculum term: changes an env when its episode ends.
     pub fn curriculum<P>(&mut self, name: &'static str, f: fn(&P, &mut EpisodeEnd, &mut EnvRng))
     where

@@ -3,13 +3,11 @@
 import random
 import string
 from collections.abc import Iterator
-from pathlib import Path
 
 from hypothesis import strategies as st
 
-from common import FLAT_POLICY
+from common import FLAT_POLICY, ROOT
 
-ROOT = Path(__file__).parents[2]
 GRAPH = FLAT_POLICY.parent / "exported" / "policy.onnx"
 URDF = ROOT / "assets" / "robots" / "spot" / "robot.urdf"
 

@@ -48,12 +48,13 @@ sensed of the ground."""
 TINY: dict[str, Any] = {"num_envs": 64, "robots": ROBOTS, "seed": 5, "overrides": ["sim.episode_length_s=1.0"]}
 """Options of a training that takes about a second."""
 
-_ROOT = Path(__file__).parents[2]
-_POLICIES = _ROOT / "python" / "polypod" / "policies"
+ROOT = Path(__file__).resolve().parents[2]
+"""The checkout."""
+_POLICIES = ROOT / "python" / "polypod" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
 (LEGGED_POLICY,) = (_POLICIES / "any_legged").glob("model_*.pt")
 """Bundled checkpoints."""
-(MASKED_POLICY,) = (_ROOT / "tests" / "data" / "policies" / "legged_masked").glob("model_*.pt")
+(MASKED_POLICY,) = (ROOT / "tests" / "data" / "policies" / "legged_masked").glob("model_*.pt")
 """A perceptron with a column for every joint of 24 robots, trained by `legged_finish`."""
-ROBOT_FOLDER = _ROOT / "assets" / "robots"
+ROBOT_FOLDER = ROOT / "assets" / "robots"

@@ -19,7 +19,7 @@ from filelock import FileLock
 
 import polypod
 import polypod.__main__
-from common import FLAT_POLICY, ROBOTS, TASK, TINY
+from common import FLAT_POLICY, ROBOTS, ROOT, TASK, TINY
 
 Finished = subprocess.CompletedProcess[str]
 
@@ -197,7 +197,7 @@ def deployed_policies(built_once: Callable[..., Path]) -> Path:
 @pytest.fixture(scope="session")
 def robot_loop() -> Any:
     """`examples/deploy/robot_loop.py` as a module."""
-    path = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "robot_loop.py"
+    path = ROOT / "examples" / "deploy" / "robot_loop.py"
     spec = spec_from_file_location("robot_loop", path)
     assert spec is not None
     assert spec.loader is not None
@@ -230,7 +230,7 @@ def cpp_loop(built_once: Callable[..., Path], exported_policy: tuple[Path, Any])
         files.write(exported_policy[0] / "policy_spot.onnx", folder)
         # the name that the library gives itself
         (folder / "libonnxruntime.so.1").symlink_to(libraries[0])
-        source = Path(__file__).resolve().parents[2] / "examples" / "deploy" / "policy_loop.cpp"
+        source = ROOT / "examples" / "deploy" / "policy_loop.cpp"
         flags = [f"-I{folder}", f"-I{include}", str(folder / "libonnxruntime.so.1"), f"-Wl,-rpath,{folder}"]
         command = [compiler, "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", str(source), *flags]
         subprocess.run([*command, "-o", str(folder / "policy_loop")], check=True)

@@ -1,11 +1,11 @@
 """A Go2 of one's own, for tests of what a URDF or a config may say."""
 
 import re
-from pathlib import Path
 
-REPOSITORY = Path(__file__).parents[2]
-URDF = REPOSITORY / "assets/robots/unitree_go2/robot.urdf"
-_TOML = REPOSITORY / "configs/robots/unitree_go2.toml"
+from common import ROOT
+
+URDF = ROOT / "assets/robots/unitree_go2/robot.urdf"
+_TOML = ROOT / "configs/robots/unitree_go2.toml"
 
 
 def write_go2(root, edit=lambda urdf: urdf, lines="", toml=None):

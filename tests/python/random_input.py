@@ -14,9 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from common import ROOT
 from polypod.compat import tomllib
 
-ROOT = Path(__file__).resolve().parents[2]
 Line = tuple[str, ...]
 
 SEED = int(os.environ.get("POLYPOD_TEST_SEED", "1"))

@@ -22,7 +22,7 @@ use super::state::{LinkState, State, Workspace};
 pub struct Dynamics<'a, S: Real> {
     /// Topology that the lanes share.
     pub topology: &'a Topology,
-    /// The bodies.
+    /// Masses, frames and actuators of the bodies.
     pub parameters: &'a Parameters<S>,
     /// Where they are and how they move. A fixed base keeps its pose; its velocities count as zero.
     pub state: &'a State<S>,

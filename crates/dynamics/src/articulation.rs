@@ -74,7 +74,7 @@ pub struct EffortTable {
     pub start: f32,
     /// One over the distance of two entries, 1/rad.
     pub inverse_step: f32,
-    /// Limits, N m.
+    /// Effort limits at equally spaced positions, N m.
     pub limits: Vec<f32>,
 }
 

@@ -28,9 +28,9 @@ pub struct Block {
 /// The first `count` joints of a block, which carry a link or another block.
 #[derive(Clone, Copy, Debug)]
 pub struct Carrier {
-    /// The block.
+    /// Index of the block in the topology.
     pub block: usize,
-    /// At least one.
+    /// Number of its first joints that carry, at least one.
     pub count: usize,
 }
 

@@ -18,7 +18,7 @@ use super::state::LinkState;
 /// `M = L^T D L = H^T H`, with `L` unit lower triangular and zero off the ancestors.
 #[derive(Clone, Debug)]
 pub struct Factor<S> {
-    /// `[blocks]`.
+    /// Factors of the blocks of joints, `[blocks]`.
     pub blocks: Vec<BlockFactor<S>>,
     /// Couplings of a block with its carriers, `[joint of the block][joint of the carrier]`:
     /// `M[j][i]`, then `L[j][i]`, at `first_coupling + c`.
@@ -233,7 +233,7 @@ impl<S: Real> Factor<S> {
         }
     }
 
-    /// `G^-T b`.
+    /// Replaces `b` by `G^-T b`, with `G` the factor of the base.
     #[inline(always)]
     pub fn base_backward(&self, b: &mut [S; 6]) {
         for k in (0..6).rev() {

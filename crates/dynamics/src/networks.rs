@@ -248,9 +248,9 @@ impl ActuatorNetwork {
 pub struct NetworkStep<'a, S: Real> {
     /// Topology that the lanes share.
     pub topology: &'a Topology,
-    /// Step sizes.
+    /// Settings of the physics steps.
     pub settings: &'a StepSettings,
-    /// The networks.
+    /// Networks of the morphology, each for some of its joints.
     pub networks: &'a [ActuatorNetwork],
     /// Physics step within the control step.
     pub substep: usize,

@@ -133,7 +133,7 @@ pub struct SolverSettings {
     pub deep_push: f64,
     /// `settled_change` of deep contacts, m/s. A link between the ground and the base that gives
     /// way a little in every step sinks: at 0.3 m/s as far as 23 mm
-    /// (`tests/jammed_links_do_not_sink.rs`).
+    /// (`tests/physics/jammed_links_do_not_sink.rs`).
     pub settled_change_deep: f64,
     /// Shares of the squared friction bound between which friction counts as being at its bound.
     /// Wide enough for the rounding of an impulse that was scaled onto the bound.

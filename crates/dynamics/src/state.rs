@@ -168,7 +168,7 @@ pub(super) struct LinkDynamics<S> {
 pub struct Workspace<S: Real> {
     /// Base axes in world axes.
     pub(super) base_rotation: Mat3<S>,
-    /// `[links]`.
+    /// Poses and velocities of the links in base axes, `[links]`.
     pub links: Vec<LinkState<S>>,
     /// Links of the base and of one tree that it carries; the next tree takes the place of the
     /// last, `[slots]`.

@@ -31,7 +31,7 @@ pub struct ControlStep<'a, S: Real> {
     pub settings: &'a StepSettings,
     /// Terrain that the robots stand on instead of the settings' plane, which must be level then.
     pub terrain: Option<Terrain<'a, S>>,
-    /// The bodies.
+    /// Masses, frames and actuators of the bodies.
     pub parameters: &'a Parameters<S>,
     /// Parameters of the morphology, if all bodies [have them](Parameters::is_uniform_with). The
     /// step is then faster, and its bits are the same.
@@ -43,7 +43,7 @@ pub struct ControlStep<'a, S: Real> {
     pub substeps: Range<usize>,
     /// Moves forward by these physics steps.
     pub state: &'a mut State<S>,
-    /// Filled in.
+    /// Forces and accelerations of these physics steps; the kernel writes them.
     pub report: &'a mut Report<S>,
     /// Scratch memory.
     pub work: &'a mut Workspace<S>,

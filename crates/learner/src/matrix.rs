@@ -55,7 +55,7 @@ pub(crate) enum End<'a> {
 
 /// `gradient += transposed(input) delta`, and the sum of `delta` for the bias.
 pub(crate) struct WeightGradient<'a> {
-    /// Samples.
+    /// Number of samples.
     pub(crate) rows: usize,
     /// The samples that are summed.
     pub(crate) range: Range<usize>,
@@ -104,7 +104,7 @@ impl WithLanes for Products {
 
 /// A computation over lines: sixteen lanes at a time.
 pub(crate) trait LineKernel {
-    /// Computes it.
+    /// The computation, compiled for the instruction set of `L`.
     fn run<L: Real>(self);
 }
 

@@ -30,7 +30,7 @@ pub struct NetworkState {
     pub first: Vec<Vec<f32>>,
     /// Adam's mean of their squares.
     pub second: Vec<Vec<f32>>,
-    /// Adam's steps.
+    /// Number of steps that Adam has taken.
     pub steps: u64,
 }
 

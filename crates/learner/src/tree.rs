@@ -72,7 +72,7 @@ pub(crate) const NUMBERS: usize = 5;
 
 /// Term that is summed over parts and sent to other workers.
 pub(crate) trait Term: Copy + Default {
-    /// Its values.
+    /// Values of the term, as they are sent.
     fn numbers(self) -> [f64; NUMBERS];
     /// The term of some values.
     fn from_numbers(numbers: [f64; NUMBERS]) -> Self;

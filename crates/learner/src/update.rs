@@ -22,7 +22,7 @@ use crate::tree::{NUMBERS, SumLines, Term, Tree};
 /// Means over the mini-batches of an update.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Losses {
-    /// Value loss.
+    /// Loss of the critic's values.
     pub value: f64,
     /// Surrogate loss.
     pub surrogate: f64,

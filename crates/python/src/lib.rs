@@ -8,6 +8,7 @@ macro_rules! docstring {
     };
 }
 
+mod arrays;
 mod exceptions;
 mod learner;
 mod rows;

@@ -4,8 +4,8 @@ use numpy::{PyArrayDyn, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use super::exceptions::{type_error, value_error};
-use super::vec_sim::tuple;
+use super::arrays::tuple;
+use super::exceptions::{type_error, unsigned, value_error};
 use polypod::StateRows;
 
 /// An argument as NumPy's array of numbers.
@@ -45,6 +45,34 @@ pub(super) fn env_ids(method: &str, value: Option<&Bound<'_, PyAny>>, num_envs: 
         usize::try_from(id).map_err(|_| problem())
     };
     ids.into_iter().map(id).collect()
+}
+
+/// Whether a `frame` of forces is the world's; the other one is the link's.
+pub(super) fn in_world(frame: &str) -> PyResult<bool> {
+    match frame {
+        "world" => Ok(true),
+        "link" => Ok(false),
+        _ => Err(value_error(format!("apply_force: frame: there is no `{frame}`; use \"world\" or \"link\""))),
+    }
+}
+
+/// Number of control steps for which a force acts: `steps`, or as many as `duration_s` takes.
+pub(super) fn force_steps(py: Python<'_>, steps: Option<i128>, duration_s: Option<f64>, step_dt: f64) -> PyResult<u32> {
+    match (steps, duration_s) {
+        (Some(_), Some(_)) => {
+            Err(value_error("apply_force: duration_s: given together with steps; pass one of them".into()))
+        }
+        (Some(steps), None) => unsigned(py, "apply_force: steps", steps),
+        (None, None) => Ok(1),
+        (None, Some(seconds)) => {
+            let steps = (seconds / step_dt - 1e-6).ceil();
+            if !(1.0..=f64::from(u32::MAX)).contains(&steps) {
+                let problem = format!("apply_force: duration_s: {seconds} s; pass a positive time");
+                return Err(value_error(problem));
+            }
+            Ok(steps as u32)
+        }
+    }
 }
 
 /// Rows of `width` numbers for each of `count` envs, in single precision: an array [count, width],
@@ -122,7 +150,7 @@ impl StateArguments {
         Self::new(found.each_ref().map(Option::as_ref), count, slots)
     }
 
-    /// The rows.
+    /// Quantities that were given, as rows of the simulation's `set_states`.
     pub(super) fn rows(&self) -> StateRows<'_> {
         let [base_pos, base_quat, base_lin_vel, base_ang_vel, joint_pos, joint_vel] =
             self.0.each_ref().map(Option::as_deref);

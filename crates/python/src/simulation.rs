@@ -9,8 +9,8 @@ use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
+use super::arrays::tuple;
 use super::exceptions::{Guarded, optional_whole, to_python, type_error, unsigned, value_error, whole};
-use super::vec_sim::tuple;
 use polypod::AVIAN_SUBSTEPS;
 use polypod::Error;
 use polypod::config::EARTH_GRAVITY;

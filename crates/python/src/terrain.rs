@@ -5,11 +5,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use super::exceptions::{guarded, to_python};
-use polypod::Error;
+use polypod::components::{EnvId, EnvOrigin};
 use polypod::config::{Library, TaskConfig};
 use polypod::morphology::MorphologyModel;
 use polypod::terrain::{Mesh, border, generate_in};
 use polypod::world::{self, Ground};
+use polypod::{Error, Sim};
 
 #[doc = docstring!("terrain")]
 #[pyfunction]
@@ -69,4 +70,35 @@ pub(super) fn entry<'py>(
     let pits = config.scene.pits().into_iter().map(|[low, high]| (low.into(), high.into()));
     dict.set_item("pits", pits.collect::<Vec<((f64, f64), (f64, f64))>>())?;
     Ok(Some(dict))
+}
+
+/// The origin of each env on the ground, m, `[num_envs, 3]`.
+pub(super) fn origins(sim: &mut Sim) -> Vec<f64> {
+    let ground = sim.world().resource::<Ground>().clone();
+    let mut rows = vec![0.0; 3 * sim.num_envs()];
+    let world = sim.world_mut();
+    for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+        let mut height = [0.0];
+        ground.heights_at(origin, std::iter::once([0.0, 0.0]), &mut height);
+        let [x, y] = origin.position;
+        let first = 3 * env.0 as usize;
+        rows[first..first + 3].copy_from_slice(&[x, y, height[0]].map(f64::from));
+    }
+    rows
+}
+
+/// Level and type of each env's tile; no types on ground without tiles.
+pub(super) fn tiles(sim: &mut Sim) -> (Vec<i64>, Vec<String>) {
+    let (mut levels, mut names) = (vec![0; sim.num_envs()], Vec::new());
+    let layout = sim.world().resource::<Ground>().layout.clone();
+    if let Some(layout) = layout {
+        names = vec![String::new(); sim.num_envs()];
+        let world = sim.world_mut();
+        for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
+            levels[env.0 as usize] = i64::from(origin.terrain_level);
+            let kind = layout.column_types[origin.terrain_column as usize];
+            names[env.0 as usize].clone_from(&layout.type_names[kind]);
+        }
+    }
+    (levels, names)
 }

@@ -12,10 +12,11 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
+use super::arrays::{BatchArrays, array, read_only, rows, shaped, view};
 use super::exceptions::{
     Guarded, fault_exception, optional_pair, optional_whole, to_python, type_error, unsigned, value_error, whole,
 };
-use super::rows::{StateArguments, env_ids, numbers};
+use super::rows::{StateArguments, env_ids, force_steps, in_world, numbers};
 use super::terrain;
 use polypod::components::{Command, EnvId, EnvOrigin, Episode};
 use polypod::config::{POLICY_GROUP, VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig};
@@ -25,100 +26,16 @@ use polypod::workers::Workers;
 use polypod::world::Ground;
 use polypod::{Autoreset, ForceRows, Sim, SimOptions};
 
-/// The arrays that Python sees, allocated once: copies of the batch, made with Python's lock held.
-///
-/// Systems that wrote here directly would save 0.3 % of a control step of `velocity_flat` and 1.5 %
-/// of one of sixteen morphologies. They would need unsafe code, and a thread of Python could read
-/// an array while a step writes it.
-struct Arrays {
-    /// Two arrays in turn, so that a learner may store the present one after the next step.
-    observations: [Py<PyArray2<f32>>; 2],
-    current: usize,
-    reward: Py<PyArray1<f32>>,
-    terminated: Py<PyArray1<bool>>,
-    truncated: Py<PyArray1<bool>>,
-    final_obs: Py<PyArray2<f32>>,
-    final_mask: Py<PyArray1<bool>>,
-    command: Py<PyArray2<f32>>,
-}
-
 #[doc = docstring!("VecSim")]
 #[pyclass(module = "polypod._core", subclass)]
 pub(super) struct VecSim {
     sim: Guarded<Sim>,
-    arrays: Arrays,
+    arrays: BatchArrays,
 }
 
 /// JSON of a description.
 pub(super) fn written(py: Python<'_>, json: serde_json::Result<String>) -> PyResult<String> {
     json.map_err(|error| fault_exception(py, &format!("a description cannot be written as JSON: {error}")))
-}
-
-/// Size from which threads share a copy.
-const LARGE: usize = 1 << 16;
-
-fn fill<T: Element + Copy + Send + Sync, D: numpy::ndarray::Dimension>(
-    py: Python<'_>,
-    workers: &Workers,
-    array: &Py<PyArray<T, D>>,
-    values: &[T],
-) -> PyResult<()> {
-    let mut target = array.bind(py).try_readwrite()?;
-    let target = target.as_slice_mut()?;
-    if values.len() < LARGE || values.len() != target.len() {
-        target.copy_from_slice(values);
-    } else {
-        workers.for_each_chunk((target, values), values.len(), |_, _, (to, from)| to.copy_from_slice(from));
-    }
-    Ok(())
-}
-
-/// A shape as Python writes it.
-pub(super) fn tuple(shape: &[usize]) -> String {
-    let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
-    if let [size] = &sizes[..] { format!("({size},)") } else { format!("({})", sizes.join(", ")) }
-}
-
-/// An argument as a C-contiguous array of the right dtype and shape.
-fn array<'py, T: Element, D: numpy::ndarray::Dimension>(
-    name: &str,
-    value: &Bound<'py, PyAny>,
-    dtype: &str,
-    shape: &[usize],
-) -> PyResult<PyReadonlyArray<'py, T, D>> {
-    let Ok(untyped) = value.cast::<PyUntypedArray>() else {
-        let got = value.get_type().name()?;
-        return Err(type_error(format!("{name}: a {got}; pass a NumPy array of {dtype} of shape {}", tuple(shape))));
-    };
-    if untyped.shape() != shape {
-        let (got, wanted) = (tuple(untyped.shape()), tuple(shape));
-        return Err(value_error(format!("{name}: shape {got}, not {wanted}; pass one row per env")));
-    }
-    let Ok(typed) = value.cast::<PyArray<T, D>>() else {
-        let got = untyped.dtype();
-        return Err(type_error(format!("{name}: dtype {got}, not {dtype}; convert it with .astype(np.{dtype})")));
-    };
-    if !typed.is_c_contiguous() {
-        return Err(value_error(format!("{name}: not C-contiguous; pass np.ascontiguousarray({name})")));
-    }
-    Ok(typed.try_readonly()?)
-}
-
-/// Numbers as `count` rows of the same length.
-fn rows(py: Python<'_>, numbers: Vec<f64>, count: usize) -> PyResult<Bound<'_, PyAny>> {
-    let width = numbers.len() / count.max(1);
-    read_only(PyArray1::from_vec(py, numbers).reshape([count, width])?.into_any())
-}
-
-/// An array that is handed out, guarded against writing: what is written would change nothing.
-fn read_only(array: Bound<'_, PyAny>) -> PyResult<Bound<'_, PyAny>> {
-    array.getattr("flags")?.setattr("writeable", false)?;
-    Ok(array)
-}
-
-/// A view of an array of the simulator, guarded against writing.
-fn view<'py>(array: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    read_only(array.call_method0("view")?)
 }
 
 impl VecSim {
@@ -136,27 +53,11 @@ impl VecSim {
 
     /// Copies observations that were measured between steps.
     fn publish_observations(&mut self, py: Python<'_>) -> PyResult<()> {
-        let arrays = &mut self.arrays;
-        arrays.current = 1 - arrays.current;
-        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
-        fill(py, workers, &arrays.observations[arrays.current], &batch.observations)
+        self.arrays.publish_observations(py, self.sim.batch(), self.sim.world().resource::<Workers>())
     }
 
     fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
-        let arrays = &mut self.arrays;
-        arrays.current = 1 - arrays.current;
-        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
-        fill(py, workers, &arrays.observations[arrays.current], &batch.observations)?;
-        fill(py, workers, &arrays.reward, &batch.rewards)?;
-        fill(py, workers, &arrays.terminated, &batch.terminated)?;
-        fill(py, workers, &arrays.truncated, &batch.truncated)?;
-        fill(py, workers, &arrays.final_mask, &batch.has_final)?;
-        let mut final_obs = arrays.final_obs.bind(py).try_readwrite()?;
-        let width = batch.num_obs.max(1);
-        let rows = final_obs.as_slice_mut()?.chunks_exact_mut(width).zip(batch.final_observations.chunks_exact(width));
-        for ((to, from), _) in rows.zip(&batch.has_final).filter(|(_, valid)| **valid) {
-            to.copy_from_slice(from);
-        }
+        self.arrays.publish(py, self.sim.batch(), self.sim.world().resource::<Workers>())?;
         self.publish_commands(py)
     }
 
@@ -208,9 +109,7 @@ impl VecSim {
         let mask = array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])?;
         let mask = mask.as_slice()?;
         self.sim.run(py, |sim| end(sim, mask))?.map_err(|error| to_python(py, error))?;
-        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
-        fill(py, workers, &self.arrays.terminated, &batch.terminated)?;
-        fill(py, workers, &self.arrays.truncated, &batch.truncated)
+        self.arrays.publish_ends(py, self.sim.batch(), self.sim.world().resource::<Workers>())
     }
 
     fn robot_index(&self, py: Python<'_>, robot: &str) -> PyResult<usize> {
@@ -259,20 +158,7 @@ impl VecSim {
             ..SimOptions::new(task, num_envs)
         };
         let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
-        let num_envs = sim.num_envs();
-        let num_obs = sim.batch().num_obs;
-        let matrix = |width: usize| PyArray2::<f32>::zeros(py, [num_envs, width], false).unbind();
-        let flags = || PyArray1::<bool>::zeros(py, num_envs, false).unbind();
-        let arrays = Arrays {
-            observations: [matrix(num_obs), matrix(num_obs)],
-            current: 1,
-            reward: PyArray1::<f32>::zeros(py, num_envs, false).unbind(),
-            terminated: flags(),
-            truncated: flags(),
-            final_obs: matrix(num_obs),
-            final_mask: flags(),
-            command: matrix(3),
-        };
+        let arrays = BatchArrays::zeros(py, sim.num_envs(), sim.batch().num_obs);
         let mut this = Self { sim, arrays };
         this.publish(py)?;
         Ok(this)
@@ -514,8 +400,8 @@ impl VecSim {
             let memory = &mut after[row * remembered..(row + 1) * remembered];
             torques.extend(model.network_torques(&error[of_row.clone()], &velocity[of_row], memory));
         }
-        let shaped = |numbers, width| PyArray1::from_vec(py, numbers).reshape([rows, width]);
-        Ok((shaped(torques, joints)?, shaped(after, remembered)?))
+        let matrix = |numbers, width| PyArray1::from_vec(py, numbers).reshape([rows, width]);
+        Ok((matrix(torques, joints)?, matrix(after, remembered)?))
     }
 
     #[doc = docstring!("VecSim.robot_shapes")]
@@ -542,10 +428,7 @@ impl VecSim {
         let index = self.robot_index(py, robot)?;
         let poses = self.sim.run(py, |sim| sim.link_pose(index))?;
         let (envs, links) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].model.links.len());
-        Ok((
-            read_only(PyArray1::from_vec(py, poses.position).reshape([envs, links, 3])?.into_any())?,
-            read_only(PyArray1::from_vec(py, poses.quaternion).reshape([envs, links, 4])?.into_any())?,
-        ))
+        Ok((shaped(py, poses.position, [envs, links, 3])?, shaped(py, poses.quaternion, [envs, links, 4])?))
     }
 
     #[doc = docstring!("VecSim.link_names")]
@@ -565,7 +448,7 @@ impl VecSim {
         let index = self.robot_index(py, robot)?;
         let (envs, bodies) = (self.sim.env_ids(index).len(), self.sim.morphologies()[index].topology.num_bodies);
         let forces = self.sim.run(py, |sim| sim.contact_forces(index))?;
-        read_only(PyArray1::from_vec(py, forces).reshape([envs, bodies, 3])?.into_any())
+        shaped(py, forces, [envs, bodies, 3])
     }
 
     #[doc = docstring!("VecSim.resolved_config")]
@@ -680,13 +563,12 @@ impl VecSim {
         let links = self.sim.morphologies()[index].model.links.len();
         let all = self.sim.run(py, |sim| sim.parameters(index))?;
         let entries = PyDict::new(py);
-        entries.set_item("static_friction", read_only(PyArray1::from_vec(py, all.static_friction).into_any())?)?;
-        entries.set_item("dynamic_friction", read_only(PyArray1::from_vec(py, all.dynamic_friction).into_any())?)?;
+        entries.set_item("static_friction", shaped(py, all.static_friction, [n])?)?;
+        entries.set_item("dynamic_friction", shaped(py, all.dynamic_friction, [n])?)?;
         for (name, numbers, width) in
             [("mass", all.mass, links), ("stiffness", all.stiffness, slots), ("damping", all.damping, slots)]
         {
-            let array = PyArray1::from_vec(py, numbers).reshape([n, width])?;
-            entries.set_item(name, read_only(array.into_any())?)?;
+            entries.set_item(name, shaped(py, numbers, [n, width])?)?;
         }
         Ok(entries)
     }
@@ -706,30 +588,8 @@ impl VecSim {
         duration_s: Option<f64>,
     ) -> PyResult<()> {
         let envs = self::env_ids("apply_force", env_ids, self.sim.num_envs())?;
-        let in_world = match frame {
-            "world" => true,
-            "link" => false,
-            _ => {
-                return Err(value_error(format!(
-                    "apply_force: frame: there is no `{frame}`; use \"world\" or \"link\""
-                )));
-            }
-        };
-        let steps: u32 = match (steps, duration_s) {
-            (Some(_), Some(_)) => {
-                return Err(value_error("apply_force: duration_s: given together with steps; pass one of them".into()));
-            }
-            (Some(steps), None) => unsigned(py, "apply_force: steps", steps)?,
-            (None, None) => 1,
-            (None, Some(seconds)) => {
-                let steps = (seconds / self.step_dt() - 1e-6).ceil();
-                if !(1.0..=f64::from(u32::MAX)).contains(&steps) {
-                    let problem = format!("apply_force: duration_s: {seconds} s; pass a positive time");
-                    return Err(value_error(problem));
-                }
-                steps as u32
-            }
-        };
+        let in_world = in_world(frame)?;
+        let steps = force_steps(py, steps, duration_s, self.step_dt())?;
         let vectors = |element, value| numbers(element, value, (envs.len(), 3), false);
         let force = vectors("apply_force: force", force)?;
         let torque = torque.map(|torque| vectors("apply_force: torque", torque)).transpose()?;
@@ -754,8 +614,7 @@ impl VecSim {
             ("ang_vel", rows.angular_velocity, 3),
             ("contact_force", rows.contact_force, 3),
         ] {
-            let array = PyArray1::from_vec(py, numbers).reshape([n, links, width])?;
-            entries.set_item(name, read_only(array.into_any())?)?;
+            entries.set_item(name, shaped(py, numbers, [n, links, width])?)?;
         }
         Ok(entries)
     }
@@ -840,20 +699,8 @@ impl VecSim {
 
     #[doc = docstring!("VecSim.env_origins")]
     fn env_origins<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let rows = self.sim.run(py, |sim| {
-            let ground = sim.world().resource::<Ground>().clone();
-            let mut rows = vec![0.0; 3 * sim.num_envs()];
-            let world = sim.world_mut();
-            for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
-                let mut height = [0.0];
-                ground.heights_at(origin, std::iter::once([0.0, 0.0]), &mut height);
-                let [x, y] = origin.position;
-                let first = 3 * env.0 as usize;
-                rows[first..first + 3].copy_from_slice(&[x, y, height[0]].map(f64::from));
-            }
-            rows
-        })?;
-        read_only(PyArray1::from_vec(py, rows).reshape([self.sim.num_envs(), 3])?.into_any())
+        let rows = self.sim.run(py, terrain::origins)?;
+        shaped(py, rows, [self.sim.num_envs(), 3])
     }
 
     #[doc = docstring!("VecSim.terrain")]
@@ -864,20 +711,7 @@ impl VecSim {
 
     #[doc = docstring!("VecSim.terrain_tiles")]
     fn terrain_tiles<'py>(&mut self, py: Python<'py>) -> PyResult<(Bound<'py, PyArray1<i64>>, Vec<String>)> {
-        let (levels, names) = self.sim.run(py, |sim| {
-            let (mut levels, mut names) = (vec![0; sim.num_envs()], Vec::new());
-            let layout = sim.world().resource::<Ground>().layout.clone();
-            if let Some(layout) = layout {
-                names = vec![String::new(); sim.num_envs()];
-                let world = sim.world_mut();
-                for (env, origin) in world.query::<(&EnvId, &EnvOrigin)>().iter(world) {
-                    levels[env.0 as usize] = i64::from(origin.terrain_level);
-                    let kind = layout.column_types[origin.terrain_column as usize];
-                    names[env.0 as usize].clone_from(&layout.type_names[kind]);
-                }
-            }
-            (levels, names)
-        })?;
+        let (levels, names) = self.sim.run(py, terrain::tiles)?;
         Ok((PyArray1::from_vec(py, levels), names))
     }
 
@@ -892,7 +726,7 @@ impl VecSim {
             }
             lengths
         })?;
-        read_only(PyArray1::from_vec(py, lengths).into_any())
+        shaped(py, lengths, [self.sim.num_envs()])
     }
 
     #[doc = docstring!("VecSim.set_episode_length")]
@@ -959,8 +793,7 @@ impl VecSim {
         let mask = mask.map(|mask| array::<bool, numpy::Ix1>("mask", mask, "bool", &[n])).transpose()?;
         let mask = mask.as_ref().map(|mask| mask.as_slice()).transpose()?;
         self.sim.run(py, |sim| sim.observe_external(values, mask))?.map_err(|error| to_python(py, error))?;
-        let (batch, workers) = (self.sim.batch(), self.sim.world().resource::<Workers>());
-        fill(py, workers, &self.arrays.observations[self.arrays.current], &batch.observations)
+        self.arrays.update_observations(py, self.sim.batch(), self.sim.world().resource::<Workers>())
     }
 
     #[doc = docstring!("VecSim.set_reward_weight")]
@@ -1021,14 +854,14 @@ impl VecSim {
         let index = self.robot_index(py, robot)?;
         let (envs, terms) = (self.sim.env_ids(index).len(), self.sim.reward_terms(index).len());
         let sums = self.sim.run(py, |sim| sim.reward_sums(index))?;
-        read_only(PyArray1::from_vec(py, sums).reshape([envs, terms])?.into_any())
+        shaped(py, sums, [envs, terms])
     }
 
     #[doc = docstring!("VecSim.height_scan")]
     fn height_scan<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let points = self.sim.run(py, Sim::height_scan)?;
         let (envs, rays) = (self.sim.num_envs(), points.len() / (3 * self.sim.num_envs()).max(1));
-        read_only(PyArray1::from_vec(py, points).reshape([envs, rays, 3])?.into_any())
+        shaped(py, points, [envs, rays, 3])
     }
 
     #[doc = docstring!("VecSim.log")]

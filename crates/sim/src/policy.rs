@@ -74,7 +74,7 @@ pub struct PolicyManifest {
 /// A term of an observation.
 #[derive(Clone, Debug, Deserialize, PartialEq, Eq)]
 pub struct TermLayout {
-    /// Its name.
+    /// Name of the term in the task's config.
     pub term: String,
     /// Number of values of the term.
     pub size: usize,

@@ -30,7 +30,7 @@ class Bound:
     figure: Callable[[Any], float | None]
     """From a comparison; None where the bound does not apply to it."""
     most: float
-    """SI units."""
+    """Largest figure that is accepted, SI units."""
     reason: str
     """Where `most` comes from."""
     unit: str = ""

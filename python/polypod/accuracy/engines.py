@@ -38,7 +38,7 @@ class Engine:
     """One engine's figures of one robot; at 5 ms, but for `largest_step`."""
 
     engine: str
-    """Its name."""
+    """Name of the engine."""
     height: float
     """Height of the base, 10 s after the robot was set on its feet in the default pose, m."""
     pitch: float

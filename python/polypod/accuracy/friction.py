@@ -35,7 +35,7 @@ class Slide:
 
     friction: float
     speed: float
-    """Speed, m/s."""
+    """Speed at which the block starts, m/s."""
     direction: float
     """Angle of the push against the world's x axis, rad: the cone is round."""
     dt: float
@@ -43,9 +43,9 @@ class Slide:
     formula: float
     """Distance by the formula, m."""
     distance: float
-    """polypod's, m."""
+    """Distance in polypod, m."""
     mujoco: float
-    """MuJoCo's, m."""
+    """Distance in MuJoCo, m."""
     sideways: float
     """polypod's excursion across the push, m."""
 

@@ -129,7 +129,7 @@ def mujoco() -> Any:
 
 
 def version() -> str:
-    """MuJoCo's."""
+    """Version of MuJoCo."""
     return str(mujoco().__version__)
 
 

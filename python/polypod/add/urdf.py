@@ -35,7 +35,7 @@ class Copy:
 
     text: str
     meshes: dict[str, bytes]
-    """By file name."""
+    """Meshes of the description, by file name."""
     name: str
     notes: list[str]
     missing: str | None = None

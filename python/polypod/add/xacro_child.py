@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 MEMORY = 2 << 30
-"""Bytes."""
+"""Largest memory, bytes."""
 SECONDS = 60
 """Largest computing time."""
 LONGEST = 1 << 20

@@ -21,7 +21,7 @@ class List:
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
     """Kind of thing to list. `tasks` also lists the tasks that are made for one robot."""
     json: bool = False
-    """As JSON."""
+    """Print JSON in place of a table."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -26,7 +26,7 @@ class Show:
     only: Annotated[str | None, arg(metavar="KEY")] = None
     """Values whose key begins with this one, such as events.push_robot."""
     json: bool = False
-    """As JSON."""
+    """Print JSON in place of lines."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

@@ -28,7 +28,7 @@ class Terms:
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
     """The terms of this Python file in the place of the built-in ones. The file is run."""
     json: bool = False
-    """As JSON."""
+    """Print JSON in place of tables."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

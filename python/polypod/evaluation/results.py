@@ -111,7 +111,7 @@ class Evaluation:
     task: str
     num_envs: int
     episodes: int
-    """Per env."""
+    """Number of episodes that each env counts."""
     steps: int | None
     """Control steps per episode; None: a whole one."""
     seed: int

@@ -53,7 +53,7 @@ class Graph:
         return name
 
     def node(self, operator: str, *inputs: str, output: str, **attributes: Any) -> str:
-        """Adds a node."""
+        """Adds a node with one output, and returns that output's name."""
         self.nodes.append(self.onnx.helper.make_node(operator, list(inputs), [output], name=output, **attributes))
         return output
 

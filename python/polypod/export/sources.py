@@ -20,7 +20,7 @@ class Operations(Protocol[Value]):
         """Values of a term that describes the robot, for every row of the batch."""
 
     def plus(self, a: Value, b: Value) -> Value:
-        """Their sum."""
+        """Sum of two values."""
 
     def about_center_of_mass(self, rate: Value) -> Value:
         """Velocity of the centre of mass about the base link's origin, by the angular velocity."""

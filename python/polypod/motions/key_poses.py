@@ -69,7 +69,7 @@ class Step(msgspec.Struct, forbid_unknown_fields=True):
     """A foot that leaves the ground and stands elsewhere."""
 
     foot: str
-    """L or R."""
+    """Foot that steps: L or R."""
     start: Time
     """When it leaves the ground, s."""
     duration: Annotated[float, Meta(gt=0.05, le=60.0)]

@@ -98,7 +98,7 @@ class Errors:
     anchor_pos: Array
     """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
-    """[n], angle."""
+    """Angle between the base's orientation and the reference's, [n], rad."""
     heading: Array
     """[n], angle of the base's heading from the reference's, to the left."""
     gravity: Array

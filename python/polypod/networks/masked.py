@@ -109,7 +109,7 @@ class MaskedGaussian(GaussianDistribution):
         return super().sample() * self.mask
 
     def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
-        """The means."""
+        """Means of the distribution, 0 for missing joints."""
         return mlp_output * self.mask
 
     @property

@@ -52,7 +52,7 @@ class Model:
     glb: bytes
     """Binary glTF, in the link's frame."""
     top: float
-    """Largest z, m."""
+    """Largest z of the mesh, m."""
 
 
 def accent(index: int) -> Color:

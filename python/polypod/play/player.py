@@ -31,9 +31,9 @@ class Tally:
     steps: int = 0
     falls: int = 0
     error_vel_xy: float = 0.0
-    """m/s, mean."""
+    """Mean error of the horizontal velocity, m/s."""
     error_vel_yaw: float = 0.0
-    """rad/s, mean."""
+    """Mean error of the yaw rate, rad/s."""
     still_error_vel_xy: float = 0.0
     """m/s, mean planar velocity error of a robot that stands still."""
     still_error_vel_yaw: float = 0.0

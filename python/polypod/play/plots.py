@@ -28,7 +28,7 @@ class History:
         self.clear()
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Forgets all rows and sums."""
         self._rows: list[npt.NDArray[np.float64]] = []
         self._sums = self._reward_sums()
 

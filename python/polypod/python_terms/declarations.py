@@ -170,7 +170,7 @@ class Terms:
     source: str = ""
     """Where they come from; errors begin with it."""
     path: Path | None = None
-    """The file."""
+    """File that declares the terms, if one does."""
     sha256: str = ""
     """Checksum of the file, hexadecimal."""
     options: Mapping[str, Any] | None = None

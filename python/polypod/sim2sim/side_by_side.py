@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 FPS = 12
 SIZE = (640, 480)
-"""Pixels."""
+"""Width and height of each picture, pixels."""
 
 
 class SideBySide:

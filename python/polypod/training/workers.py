@@ -62,7 +62,7 @@ class Workers:
 
     @classmethod
     def alone(cls) -> "Workers":
-        """One process."""
+        """A worker without others, in this process."""
         return cls(0, 1, 0, 1, None)
 
     @classmethod

@@ -457,7 +457,7 @@ fn angular_inertia(&[xx, yy, zz, xy, xz, yz]: &[f64; 6]) -> ComputedAngularInert
     ComputedAngularInertia::from_inverse_tensor(avian3d::math::SymmetricTensor::from_mat3_unchecked(m))
 }
 
-/// From rows.
+/// Matrix with these rows.
 fn matrix(rows: &Rows3<f64>) -> DMat3 {
     DMat3::from_cols_array_2d(rows).transpose()
 }

@@ -1,0 +1,9 @@
+//! Engines, plugins and viewers work through the same doors.
+
+mod an_engine_may_be_anothers;
+mod avian_engine;
+mod links_have_mirrors_in_avians_world;
+mod plugins_can_be_replaced;
+mod simulation_api;
+mod tasks_run_on_avian;
+mod viewers_see_what_happens;

@@ -1,0 +1,270 @@
+"""`polypod robot new` drafts bodies of every class from the URDF alone.
+
+Drafts load, and stand or say why not.
+"""
+
+import json
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+import tomllib
+from test_new_robot import joint, link, quadruped
+
+import polypod
+from common import ROOT
+from polypod import _core, bodies
+from polypod.new_robot import new_robot
+
+STANDING = ["unitree_h1", "unitree_g1", "booster_t1", "berkeley_humanoid", "phantomx", "box_quadruped"]
+ON_POINTS = ["limx_tron1", "bolt"]
+
+
+def urdf(robot):
+    return ROOT / "assets/robots" / robot / "robot.urdf"
+
+
+def is_usable(made):
+    """It loads, acts and observes."""
+    assert "leg: " in _core.check(made.path.parent / tomllib.loads(made.path.read_text())["urdf"], {})
+    env = polypod.make("velocity_flat_legged", 2, robots=[str(made.path)], seed=0)
+    env.reset()
+    for _ in range(10):
+        observations = env.step(np.full((2, env.sim.num_actions), 0.1, dtype=np.float32))[0]
+    assert np.isfinite(observations).all()
+    return env
+
+
+@pytest.mark.parametrize("robot", STANDING)
+def test_a_draft_stands(tmp_path, robot):
+    """The library's configs of most of these have published gains on which they do not."""
+    made = new_robot(urdf(robot), tmp_path / f"draft_{robot}.toml")
+    assert made.standing.holds, made
+    assert made.needs_policy is None
+    env = is_usable(made)
+    (drafted,) = json.loads(env.sim.robot_info()).values()
+    (known,) = json.loads(polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0).sim.robot_info()).values()
+    assert (drafted["slots"], drafted["class"]) == (known["slots"], known["class"])
+    # the height of the pose is about that of the published one
+    assert 0.85 < drafted["base_height"] / known["base_height"] < 1.2
+
+
+@pytest.mark.parametrize("robot", ON_POINTS)
+def test_a_biped_without_ankles_needs_a_policy(cli, tmp_path, robot):
+    made = new_robot(urdf(robot), tmp_path / f"draft_{robot}.toml")
+    assert not made.standing.holds
+    assert made.needs_policy == "it has two feet and no ankles: a policy steps to balance it"
+    assert made.gain_factor == 1.0
+    assert tomllib.loads(made.path.read_text())["reward_set"] in ("point_feet", "limx")
+    is_usable(made)
+    done = cli("robot", "new", str(urdf(robot)), "--out", str(made.path), "--force")
+    assert "a policy steps to balance it" in done.stdout
+    assert "--train-config specialist" in done.stdout
+    assert "belly" not in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("kind", ["quadruped8", "biped", "humanoid", "hexapod"])
+def test_a_body_of_no_library_is_drafted(tmp_path, kind):
+    """A generated one, of which only the URDF is left."""
+    file = tmp_path / "body.urdf"
+    file.write_text(bodies.urdf(bodies.draw(kind, "body", np.random.default_rng(7))))
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert made.standing.holds or made.needs_policy is not None, made
+    is_usable(made)
+
+
+def test_soles_are_flat_and_below_the_centre_of_mass(tmp_path):
+    """T1's arms are stretched out at zero joint positions; in the draft they hang."""
+    made = new_robot(urdf("booster_t1"), tmp_path / "draft.toml")
+    pose = tomllib.loads(made.path.read_text())["default_pose"]
+    for side, sign in (("L", -1.0), ("R", 1.0)):
+        assert sign * pose[f"{side}_SHOULDER_ROLL"] > 1.2
+        assert pose[f"{side}_HIP_PITCH"] + pose[f"{side}_KNEE"] + pose[f"{side}_ANKLE_PITCH"] == pytest.approx(
+            0.0, abs=5e-3
+        )
+        assert pose[f"{side}_KNEE"] > 0.3
+
+
+def folded(thigh, shank, hip_axis, hip_limits):
+    """A quadruped whose feet lie at its hips at zero: thighs and shanks point to and fro."""
+    length, effort = 0.22, 60.0
+    parts = [link("trunk", 9.0, (0.5, 0.22, 0.1))]
+    for number, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
+        along = [0.5 * length * part for part in thigh]
+        back = [0.5 * length * part for part in shank]
+        boxes = [tuple(0.03 + 0.9 * length * abs(part) for part in parts) for parts in (thigh, shank)]
+        parts += [
+            link(f"a{number}", 0.3, (0.06, 0.06, 0.06)),
+            link(f"b{number}", 0.4, boxes[0], at=along),
+            link(f"c{number}", 0.1, boxes[1], at=back),
+            link(f"pad{number}", 0.02, (0.02, 0.02, 0.02), shape='<sphere radius="0.02"/>'),
+            joint(f"m{number}1", "trunk", f"a{number}", (x * 0.22, y * 0.07, 0.0), "1 0 0", (-0.7, 0.7, effort, 20.0)),
+            joint(f"m{number}2", f"a{number}", f"b{number}", (0, y * 0.06, 0), hip_axis, (*hip_limits, effort, 20.0)),
+            joint(
+                f"m{number}3",
+                f"b{number}",
+                f"c{number}",
+                [2 * part for part in along],
+                "0 1 0" if hip_axis == "0 -1 0" else "0 -1 0",
+                (0.0, 3.1, effort, 20.0),
+            ),
+            joint(f"f{number}", f"c{number}", f"pad{number}", [2 * part for part in back], None),
+        ]
+    return f'<robot name="folded">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        ((-1, 0, 0), (1, 0, 0), "0 -1 0", (-0.5, 3.1)),
+        ((1, 0, 0), (-1, 0, 0), "0 1 0", (-0.5, 3.1)),
+        ((0, 0, 1), (0, 0, -1), "0 1 0", (-3.1, 3.1)),
+    ],
+    ids=["to_the_rear", "to_the_front", "upwards"],
+)
+def test_legs_that_are_folded_at_zero_stand(tmp_path, geometry):
+    file = tmp_path / "folded.urdf"
+    file.write_text(folded(*geometry))
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert (made.kind, made.is_quadruped) == ("quadruped", True)
+    assert made.standing.holds, made
+    roles = tomllib.loads(made.path.read_text())["joint_roles"]
+    assert {corner: roles[f"{corner}_KFE"] for corner in ("LF", "RF", "LH", "RH")} == {
+        "LF": "m03",
+        "RF": "m13",
+        "LH": "m23",
+        "RH": "m33",
+    }
+    is_usable(made)
+
+
+def moved_frame(text, height):
+    """The same robot, its base frame lower by `height`, m."""
+    root = ET.fromstring(text)
+    moving = {joint.find("child").get("link") for joint in root.findall("joint")}
+    (base,) = (link for link in root.findall("link") if link.get("name") not in moving)
+    elements = [*base.findall("inertial"), *base.findall("collision"), *base.findall("visual")]
+    elements += [joint for joint in root.findall("joint") if joint.find("parent").get("link") == base.get("name")]
+    for element in elements:
+        origin = element.find("origin")
+        if origin is None:
+            origin = ET.SubElement(element, "origin", xyz="0 0 0")
+        x, y, z = (float(number) for number in origin.get("xyz").split())
+        origin.set("xyz", f"{x} {y} {z + height}")
+    return ET.tostring(root, encoding="unicode")
+
+
+@pytest.mark.parametrize(("kind", "height"), [("biped", 0.8), ("biped", 0.6), ("humanoid", 1.2), ("quadruped8", 0.7)])
+def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
+    """An episode ends when the robot has sunk, wherever its frame is."""
+    text = bodies.urdf(bodies.draw(kind, "body", np.random.default_rng(7)))
+    stood = []
+    for name, own in (("as_drawn", text), ("below", moved_frame(text, height))):
+        file = tmp_path / f"{name}.urdf"
+        file.write_text(own)
+        made = new_robot(file, tmp_path / f"draft_{name}.toml")
+        stood.append((made.standing.holds, made.standing.falls, made.needs_policy))
+        env = polypod.make("velocity_flat_legged", 4, robots=[str(made.path)], seed=0)
+        env.reset()
+        for _ in range(5):
+            ended = env.step(np.zeros((4, env.sim.num_actions), dtype=np.float32))[2]
+            assert not ended.any()
+    (holds, falls, reason), (holds_below, falls_below, reason_below) = stood
+    assert (holds, reason) == (holds_below, reason_below)
+    # a body that balances falls or not by the last bit of its numbers, which are about another
+    # frame
+    assert abs(falls - falls_below) <= 1
+    assert env.state.base_pos[:, 2].max() < 0.3 * height
+
+
+def crooked(forward, ankle):
+    """A biped with hip axes between x and z.
+
+    Its knees are straight at their stop, its toes ahead of the ankles.
+    """
+    limits = (-1.9, 1.0, 20.0, 15.0)
+    parts = [link("trunk", 9.0, (0.12, 0.16, 0.24), at=(-0.03, 0.0, 0.12))]
+    for name, side in (("l", 1), ("r", -1)):
+        parts += [
+            link(f"{name}1", 0.6, (0.06, 0.06, 0.06)),
+            link(f"{name}2", 0.6, (0.06, 0.06, 0.06)),
+            link(f"{name}3", 0.9, (0.06, 0.05, 0.12), at=(0.0, 0.0, -0.07)),
+            link(f"{name}4", 0.5, (0.05, 0.05, 0.14), at=(0.0, 0.0, -0.08)),
+            link(f"{name}5", 0.1, (0.03, 0.03, 0.03)),
+            link(f"{name}6", 0.3, (0.2, 0.07, 0.03), at=(forward, 0.0, -0.03)),
+            joint(f"{name}a", "trunk", f"{name}1", (0.0, side * 0.08, -0.03), "0.707107 0 0.707107", limits),
+            joint(f"{name}b", f"{name}1", f"{name}2", (-0.02, 0.0, -0.05), "0.707107 0 -0.707107", (-0.9, 0.9, 20, 15)),
+            joint(f"{name}c", f"{name}2", f"{name}3", (0.03, -side * 0.02, -0.04), "0 1 0", limits),
+            joint(f"{name}d", f"{name}3", f"{name}4", (0.0, -side * 0.02, -0.15), "0 1 0", (0.0, 2.4, 20.0, 15.0)),
+            joint(f"{name}e", f"{name}4", f"{name}5", (0.0, 0.0, -0.16), "0 1 0", (-ankle, ankle, 20.0, 15.0)),
+            joint(f"{name}f", f"{name}5", f"{name}6", (forward, 0.0, -0.05), "1 0 0", (-0.26, 0.26, 20.0, 15.0)),
+        ]
+    return f'<robot name="crooked">{"".join(parts)}</robot>'
+
+
+@pytest.mark.parametrize(("forward", "ankle"), [(0.02, 0.79), (0.04, 0.6), (0.05, 0.7)])
+def test_knees_that_are_straight_at_their_stop_are_bent(tmp_path, forward, ankle):
+    file = tmp_path / "crooked.urdf"
+    file.write_text(crooked(forward, ankle))
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert not [note for note in made.notes if "where it should stand" in note]
+    assert made.standing.holds, made
+    pose = tomllib.loads(made.path.read_text())["default_pose"]
+    for side in ("L", "R"):
+        assert pose[f"{side}_KNEE"] > 0.3, pose
+    assert pose["L_KNEE"] == pytest.approx(pose["R_KNEE"], abs=2e-3)
+
+
+@pytest.mark.parametrize("tilt", [3.7e-6, -5e-6, 6e-5])
+def test_soles_that_are_level_but_for_rounding_are_stood_on_in_the_middle(tmp_path, tilt):
+    """Left and right of a body stand equally where the maker rounds right angles."""
+    text = crooked(0.02, 0.79)
+    for name, sign in (("l6", 1), ("r6", -1)):
+        at = text.index("<collision><origin", text.index(f'<link name="{name}">'))
+        end = text.index("/>", at)
+        text = f'{text[:end]} rpy="{sign * tilt} {tilt} 0"{text[end:]}'
+    poses = []
+    for name, own in (("tilted", text), ("level", crooked(0.02, 0.79))):
+        draft = _core.draft_robot(write(tmp_path / f"{name}.urdf", own))
+        poses.append(tomllib.loads(draft["toml"])["default_pose"])
+    assert poses[0] == pytest.approx(poses[1], abs=2e-3)
+
+
+@pytest.mark.parametrize("part", ["pads", "pads_and_shanks"])
+def test_feet_whose_meshes_are_missing_are_boxes_of_their_inertia(tmp_path, part):
+    mesh = '<mesh filename="package://fox/part.stl"/>'
+    text = quadruped().replace('<sphere radius="0.025"/>', mesh)
+    text = text.replace('<box size="0.03 0.03 0.24"/>', mesh) if part == "pads_and_shanks" else text
+    file = tmp_path / "fox.urdf"
+    file.write_text(text)
+    made = new_robot(file, tmp_path / "draft.toml")
+    assert made.standing.holds, made
+    feet = set(tomllib.loads(made.path.read_text())["feet"].values())
+    if part == "pads":
+        # the shanks have shapes to stand on
+        assert feet == {"c0", "c1", "c2", "c3"}
+        return
+    assert feet == {"pad0", "pad1", "pad2", "pad3"}
+    (note,) = (note for note in made.notes if "the box of its inertia" in note and "pad0" in note)
+    assert "collision meshes are missing" in note
+    # 0.3 m below the knee, half of the cube of 3 cm with the pad's inertia
+    (info,) = json.loads(is_usable(made).sim.robot_info()).values()
+    known = new_robot(write(tmp_path / "whole.urdf", quadruped()), tmp_path / "whole.toml")
+    (of_known,) = json.loads(is_usable(known).sim.robot_info()).values()
+    assert info["base_height"] == pytest.approx(of_known["base_height"], abs=0.02)
+
+
+def test_what_is_above_an_ankle_is_no_foot(tmp_path):
+    """A foot without shape and with almost no inertia: its shank reaches the ground first."""
+    text = crooked(0.02, 0.79)
+    for name in ("l5", "l6", "r5", "r6"):
+        at = text.index(f'<link name="{name}">')
+        begin, end = text.index("<collision>", at), text.index("</collision>", at) + len("</collision>")
+        text = text[:begin] + text[end:]
+    with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
+        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+
+
+def write(file, text):
+    file.write_text(text)
+    return file

@@ -1,0 +1,267 @@
+"""`polypod adapt` makes a policy walk with a robot; its memory, messages and results."""
+
+import json
+import shutil
+import signal
+
+import numpy as np
+import pytest
+import torch
+from test_trainings_end_when_robots_walk import FIGURES, bad
+
+from common import MASKED_POLICY, ROOT
+from polypod import _core, adapt, bundled
+from polypod.compat import tomllib
+from polypod.runs import config, run_dir
+from polypod.training import goal, session
+from polypod.training.transfer import critic_for, numbers_of
+from polypod.training.workers import Workers
+
+CONFIG = """
+extends = "quick"
+[run]
+num_envs = 16
+num_steps_per_env = 4
+max_iterations = 100000
+save_interval = 100000
+symmetry = false
+"""
+FLAGS = ("--train-config", "tiny.toml", "--threads", "1", "--device", "cpu", "--every", "1")
+
+
+@pytest.fixture(autouse=True)
+def tiny(tmp_path):
+    (tmp_path / "tiny.toml").write_text(CONFIG)
+
+
+@pytest.fixture
+def measured(monkeypatch):
+    """Lets measurements give figures, one after the other: first those before the training."""
+
+    def give(*figures):
+        given = iter(figures)
+
+        class Evaluation:
+            def __init__(self, robots):
+                self.robots = robots
+
+        class Robot:
+            def __init__(self, walking):
+                self.walking = walking
+
+        def evaluate(checkpoint, robots=None, **arguments):
+            names = robots or run_dir.read_manifest(checkpoint)["robots"]
+            return Evaluation({name.rpartition("/")[2].removesuffix(".toml"): Robot(next(given)) for name in names})
+
+        monkeypatch.setattr(adapt, "evaluate_checkpoint", evaluate)
+        monkeypatch.setattr(goal, "evaluate_checkpoint", evaluate)
+
+    return give
+
+
+def test_a_robot_that_walks_needs_no_training(cli, tmp_path, measured):
+    measured(FIGURES)
+    done = cli("adapt", "unitree_go1", "--checkpoint", "flat", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "unitree_go1 walks without training" in done.stdout
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+
+
+def test_it_trains_until_the_robot_walks(cli, tmp_path, measured):
+    # before; two measurements, the second with its confirmation
+    measured(bad(0.4), bad(0.3), FIGURES, FIGURES)
+    done = cli("adapt", "unitree_go1", "--checkpoint", "flat", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_unitree_go1")
+    assert [path.name for path in run.glob("model_*.pt")] == ["model_2.pt"]
+    text = " ".join(done.stdout.split())
+    assert "iteration 1, 0.00 million samples" in text
+    assert text.count("unitree_go1, before") == text.count("unitree_go1, after") == 1
+    assert "walks after" in text
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["command"].startswith("polypod adapt unitree_go1 --checkpoint flat")
+    assert manifest["robots"] == ["unitree_go1"]
+    # networks and task are the policy's, the rest is the train config's
+    of_policy = run_dir.read_manifest(bundled.checkpoint("flat"))
+    assert manifest["task"] == of_policy["task"]
+    assert manifest["train_config"]["actor"] == of_policy["train_config"]["actor"]
+    assert manifest["train_config"]["run"]["num_envs"] == 16
+
+
+def test_it_returns_3_with_the_best_policy_when_the_time_is_over(cli, tmp_path, measured):
+    measured(bad(0.4), bad(0.3), bad(0.3))
+    done = cli("adapt", "unitree_go1", "--checkpoint", "flat", *FLAGS, "--max-minutes", "0.0001")
+    assert done.returncode == 3, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (best,) = run.glob("model_*.pt")
+    text = " ".join(done.stdout.split())
+    assert "it does not walk after" in text
+    assert f"polypod adapt unitree_go1 --checkpoint {best.relative_to(tmp_path)}" in text
+    # a learner that it names goes on
+    measured(FIGURES)
+    assert cli("adapt", "unitree_go1", "--checkpoint", str(best), *FLAGS).returncode == 0
+
+
+def test_an_interrupt_keeps_what_there_is(cli, tmp_path, measured, monkeypatch):
+    """A signal comes during the second measurement; the first one was better."""
+    measured(bad(0.4), bad(0.3), bad(0.35))
+    measure = goal.UntilWalks._measure
+
+    def interrupted(self, path, seed):
+        if path.name == "model_2.pt":
+            signal.raise_signal(signal.SIGTERM)
+        return measure(self, path, seed)
+
+    monkeypatch.setattr(goal.UntilWalks, "_measure", interrupted)
+    done = cli("adapt", "unitree_go1", "--checkpoint", "flat", *FLAGS)
+    assert done.returncode == 143, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    assert [path.name for path in run.glob("model_*.pt")] == ["model_1.pt"]
+    text = " ".join(done.stdout.split())
+    assert "unitree_go1, after" in text
+    assert "unitree_go1: interrupted after" in text
+    assert "model_1.pt" in text
+
+
+def test_a_urdf_is_drafted_beside_the_run_and_rewarded_like_the_robot_most_like_it(cli, tmp_path, measured):
+    shutil.copy(_core_urdf("solo12"), tmp_path / "My-Dog.urdf")
+    measured(bad(0.4), FIGURES, FIGURES)
+    done = cli("adapt", "My-Dog.urdf", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_my_dog")
+    assert (run / "robot" / "my_dog.toml").is_file()
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["robots"] == ["my_dog"]
+    # four legs: begun with the policy of joints, whose task has one set for quadrupeds of all
+    # weights
+    assert manifest["policy"]["class_name"] == "polypod.networks:UrmaModel"
+    resolved = tomllib.loads((run / "params" / "env.toml").read_text())
+    assert resolved["robots"]["my_dog"]["reward_set"] == "quadruped"
+    assert "its description is" in done.stdout
+
+
+def _core_urdf(robot):
+
+    return ROOT / "assets" / "robots" / robot / "robot.urdf"
+
+
+def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cli, tmp_path, measured):
+    measured(bad(0.4), FIGURES, FIGURES)
+    done = cli("adapt", "unitree_h1", "--checkpoint", str(MASKED_POLICY), *FLAGS)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    of_policy, manifest = run_dir.read_manifest(MASKED_POLICY), run_dir.read_manifest(checkpoint)
+    assert manifest["robots"] == ["unitree_h1"]
+    for key in ("canonical_joint_names", "observation_layout"):
+        assert manifest[key] == of_policy[key]
+    weights = [run_dir.load_checkpoint(path)["actor_state_dict"] for path in (MASKED_POLICY, checkpoint)]
+    assert all(bool(torch.isfinite(value.float()).all()) for value in weights[1].values())
+    first = "mlp.0.weight"
+    changed = (weights[0][first] != weights[1][first]).any(dim=0)
+    # weights of other bodies' joints are as they were
+    assert 0 < int(changed.sum()) < len(changed)
+    # and the run goes on
+    resumed = session.Options(resume=str(run), max_iterations=1, logger="none", device="cpu", threads=1)
+    _, runner = session.train_with(resumed, Workers.alone())
+    assert runner.current_learning_iteration == 2
+
+
+def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, measured):
+    """A student has no critic: a new one learns first."""
+    measured(bad(0.4), FIGURES, FIGURES)
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "begins with legged" in done.stdout
+    assert "it has no critic; a new one learns" in " ".join(done.stdout.split())
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["hidden_dims"] == [512, 256, 128]
+    assert "distillation" not in manifest["train_config"]
+    assert "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
+
+
+def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured):
+    # the robot does not walk, of two neighbours one does; the robot walks and the neighbour has
+    # forgotten; both walk
+    before = (bad(0.4), FIGURES, bad(0.4))
+    forgotten, done_ = (FIGURES, bad(0.4), bad(0.4)), (FIGURES, FIGURES, bad(0.4))
+    measured(*before, *forgotten, *done_, *done_)
+    done = cli("adapt", "unitree_go1", "--checkpoint", "quadruped", *FLAGS, "--neighbours", "2")
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    assert (run / "model_2.pt").exists()
+    robots = json.loads((run / "manifest.json").read_text())["robots"]
+    assert robots[:2] == ["unitree_go1", "unitree_go2"]
+    assert len(robots) == 3
+    # the robot has the envs of both, in the training alone
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert manifest["train_config"]["run"]["task_changes"][-1] == "env_shares.unitree_go1=2"
+    assert not [change for change in manifest["overrides"] if change.startswith("env_shares")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nobody",), "nobody"),
+        (("nothing.urdf",), "nothing.urdf"),
+        (("unitree_go1", "--neighbours", "-1"), "--neighbours -1 must be from 0 to 1000"),
+        (("unitree_go1", "--max-minutes", "0"), "--max-minutes 0"),
+        (("unitree_go1", "--max-minutes", "nan"), "--max-minutes nan"),
+        (("unitree_go1", "--every", "0"), "--every 0 must be at least 1"),
+        (("unitree_go1", "--lock", "a=0"), "--lock is of a URDF"),
+        (("unitree_go1", "--train-config", "nothing"), "nothing"),
+        (("unitree_go1", "--checkpoint", "nothing.pt"), "nothing.pt"),
+        (("unitree_h1", "--checkpoint", "flat", *FLAGS), "twelve joints"),
+    ],
+    ids=lambda value: " ".join(value[:3]) if isinstance(value, tuple) else "",
+)
+def test_mistakes_are_named_and_leave_nothing(cli, tmp_path, arguments, said):
+    done = cli("adapt", *arguments)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+
+
+def test_the_settings_are_a_train_config_of_its_own():
+    settings = config.load(adapt.TRAIN_CONFIG)
+    assert settings.run.task == "velocity_flat_any_legged"
+    assert settings.run.num_envs * settings.run.num_steps_per_env <= 10_000
+
+
+def test_a_critic_goes_on_for_another_body():
+    """The critic of ANYmal B without and with an arm.
+
+    Shared numbers keep their weights, new ones begin with zeros.
+    """
+    groups = ["policy", "critic"]
+    sims = [
+        _core.VecSim("velocity_flat_any_legged", 1, robots=[robot], threads=1)
+        for robot in ("anymal_b", "anymal_b_kinova")
+    ]
+    of, wanted = (numbers_of(sim, groups) for sim in sims)
+    assert len(set(of)) == len(of) == sum(sims[0].observation_of(group).shape[1] for group in groups)
+    assert set(of) < set(wanted)
+
+    def network(width):
+        torch.manual_seed(0)
+        layers = torch.nn.Sequential(torch.nn.Linear(width, 4), torch.nn.ELU(), torch.nn.Linear(4, 1))
+        state = {f"mlp.{key}": value for key, value in layers.state_dict().items()}
+        moments = {f"obs_normalizer.{key}": torch.rand(1, width) + 0.5 for key in ("_mean", "_var", "_std")}
+        return {**state, **moments}
+
+    old, own = network(len(of)), network(len(wanted))
+    moved = critic_for(old, of, own, wanted)
+    values = dict(zip(wanted, np.random.default_rng(0).standard_normal(len(wanted)), strict=True))
+
+    def value(state, numbers):
+        x = torch.tensor([values[number] for number in numbers], dtype=torch.float32)
+        x = (x - state["obs_normalizer._mean"]) / state["obs_normalizer._std"]
+        hidden = torch.nn.functional.elu(x @ state["mlp.0.weight"].T + state["mlp.0.bias"])
+        return float(hidden @ state["mlp.2.weight"].T + state["mlp.2.bias"])
+
+    assert value(moved, wanted) == pytest.approx(value(old, of), rel=1e-4)
+    # networks of other sizes start again
+    assert critic_for({**old, "mlp.2.weight": torch.zeros(1, 5)}, of, own, wanted) is None
