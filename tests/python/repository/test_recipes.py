@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from common import ROOT
 from lab import recipe
 from polypod import _core, bundled
 from polypod.evaluation import evaluate_checkpoint
 from polypod.runs import config
 
-ROOT = Path(__file__).parents[2]
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """
 bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped", "--prefix", "d"]]
