@@ -340,7 +340,13 @@ def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, ef
     robots = stage.maker_of(model)
     robots.reset(*stage.start(model))
     near = robot.default_position + 0.05
-    robots._drive(robots._data[0], near, np.zeros((12, 2)))
+    no_limits = np.zeros((robots.num_envs, 12, 2))
+
+    def drive(targets: np.ndarray) -> None:
+        controls, forces = robots._inputs(np.tile(targets, (robots.num_envs, 1)), no_limits)
+        robots._drive(robots._data[0], controls[0], forces[0])
+
+    drive(near)
     np.testing.assert_allclose(robots._data[0].ctrl, target * near)
     mujoco.mj_forward(model.model, robots._data[0])
     angles, rates = robots.qpos[0, 7:], robots.qvel[0, 6:]
@@ -348,9 +354,9 @@ def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, ef
     damping = 1.0 if target == 1.0 else robot.actuators.damping
     torque = np.clip(stiffness * (near - angles) - damping * rates, -effort * target, effort * target)
     np.testing.assert_allclose(robots._data[0].qfrc_actuator[model.v[6:]], torque, atol=1e-9)
-    robots._drive(robots._data[0], near + 100.0, np.zeros((12, 2)))
+    drive(near + 100.0)
     mujoco.mj_forward(model.model, robots._data[0])
-    robots._watch(0, np.zeros((12, 2)))
+    robots._watch([0], no_limits)
     assert (robots.saturated[0] == 1.0).all()
 
 
