@@ -145,6 +145,22 @@ def test_joints_of_the_same_names_are_paired_by_name(tmp_path, a1):
     assert max(pair.apart for pair in model.map.pairs) < 1e-6
 
 
+def test_the_robot_of_a_file_is_found_by_the_names_of_its_joints(tmp_path, a1):
+    """The word joint in them does not count."""
+    file = written(tmp_path, a1.replace("_joint", ""))
+    assert on_model.guess(file, ["anymal_b", "unitree_a1"]) == "unitree_a1"
+
+
+def test_a_urdf_is_a_model_too(tmp_path):
+    """MuJoCo would merge its root link into the world, and leave four legs without a base."""
+    file = written(tmp_path, robot_of("unitree_a1").urdf, "a1.urdf")
+    model = model_of(file)
+    assert {pair.how for pair in model.map.pairs} == {"name"}
+    assert f"{model.root} has no free joint: one is added" in model.notes
+    assert model.model.nv == 6 + 12
+    assert on_model.guess(file, ["anymal_b", "unitree_a1"]) == "unitree_a1"
+
+
 @pytest.mark.parametrize("rename", [True, False])
 def test_joints_are_found_by_geometry(tmp_path, a1, rename):
     """Permuted, renamed, flipped and with other zeros: the same robot."""
