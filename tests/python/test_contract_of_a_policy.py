@@ -40,9 +40,9 @@ def test_contracts_follow_the_schema(deployed_policies, policy, robot):
     SCHEMA.validate(found)
     _, contract = open_file(path)
     assert contract.robot == robot
-    assert ("base_lin_vel" in found["needs"]["estimated"]) == (policy != "quadruped")
+    assert ("base_lin_vel" in found["needs"]["estimated"]) == (policy in ("flat", "rough"))
     assert found["needs"]["mapped"] == (["height_scan"] if policy == "rough" else [])
-    assert bool(found["states"]) == (policy == "quadruped")
+    assert bool(found["states"]) == (policy in ("legged", "quadruped"))
     assert contract.num_rays == (187 if policy == "rough" else 0)
 
 
