@@ -1,8 +1,8 @@
 """Makes a bundled policy of a recipe's model: `python -m lab.bundle MODEL FOLDER --task NAME`.
 
-What commands need stays: the networks, and the manifest with the robots of the library. Drawn robots
-leave their descriptions behind, by which a policy says how far a body is from what it was trained
-on.
+The networks stay, and the manifest with the robots of the library. Drawn
+robots leave their descriptions behind, by which a policy says how far a body is from what it was
+trained on.
 """
 
 import argparse
@@ -74,7 +74,9 @@ def main() -> None:
     checkpoint = arguments.folder / f"model_{state['iter']}.pt"
     torch.save({**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}, checkpoint)
     manifest["checkpoints"] = {checkpoint.name: hashlib.sha256(checkpoint.read_bytes()).hexdigest()}
-    (arguments.folder / "manifest.json").write_text(json.dumps(manifest, separators=(",", ":")) + "\n", encoding="utf-8")
+    (arguments.folder / "manifest.json").write_text(
+        json.dumps(manifest, separators=(",", ":")) + "\n", encoding="utf-8"
+    )
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
 
 

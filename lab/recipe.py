@@ -1,9 +1,9 @@
-"""Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT [--stages A,B]`.
+"""Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT`.
 
 A recipe is a folder with a `plan.toml` and train configs. Each stage of the plan is a run of
-`polypod train`. What it leaves is `OUT/<stage>/model.pt` with its `manifest.json`, and its output in
-`OUT/<stage>.log`. A stage whose model is there is not trained again, so that a recipe goes on where
-it ended, also on another machine.
+`polypod train`. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output
+in `OUT/<stage>.log`. A stage whose model is there is not trained again, so that a recipe goes on
+where it ended, also on another machine.
 """
 
 import argparse
@@ -102,7 +102,14 @@ def command(recipe: Recipe, stage: Stage, out: Path) -> list[str]:
         start = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={stage.workers}"]
         start += ["-m", "polypod"]
     words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
-    words += ["--robots", ",".join(recipe.robots(stage.robots, out)), "--seed", str(stage.seed), "--log-dir", str(out / "runs" / stage.name)]
+    words += [
+        "--robots",
+        ",".join(recipe.robots(stage.robots, out)),
+        "--seed",
+        str(stage.seed),
+        "--log-dir",
+        str(out / "runs" / stage.name),
+    ]
     words += ["--logger", "none"]
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]

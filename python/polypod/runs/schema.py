@@ -381,7 +381,9 @@ class TrainConfig:
         if self.distillation is None or self.distillation.teachers is None or self.actor.class_name == RNN:
             return False
         teachers = sorted(set(self.distillation.teachers.values()))
-        return all(read_manifest(Path(path).parent / "manifest.json")["policy"]["class_name"] != RNN for path in teachers)
+        return all(
+            read_manifest(Path(path).parent / "manifest.json")["policy"]["class_name"] != RNN for path in teachers
+        )
 
     def _why_not_native(self, device_type: str) -> str | None:
         """Reason why the native learner cannot train this config."""

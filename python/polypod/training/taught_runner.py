@@ -110,12 +110,16 @@ class TaughtRunner(Runner):
         self._count += 1
         is_step = self._count % self.alg.gradient_length == 0
         if is_step and self.workers.count == 1:
-            self._graphs.run("learn", lambda: (self._add_gradients(), self._apply()))
+            self._graphs.run("learn", self._take_step)
             return
         self._graphs.run("gradients", self._add_gradients)
         if is_step:
             self.alg.reduce_parameters()
             self._graphs.run("step", self._apply)
+
+    def _take_step(self) -> None:
+        self._add_gradients()
+        self._apply()
 
     def _add_gradients(self) -> None:
         storage = self.alg.storage
@@ -146,7 +150,7 @@ class TaughtRunner(Runner):
         """The point of the device's work so far; None: on a CPU all is done."""
         if not self._drawn.is_cuda:
             return None
-        event = torch.cuda.Event()
+        event = torch.cuda.Event()  # type: ignore[no-untyped-call]
         event.record(torch.cuda.current_stream(self._drawn.device))
         return event
 

@@ -307,7 +307,7 @@ class ManyTeachers(Distillation):
             group["lr"] = rate
 
     def choose(self, obs: TensorDict, share: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """What the robots do, and what their teachers would do; nothing waits for a GPU.
+        """Draws what the robots do, and asks teachers what they would do; nothing waits for a GPU.
 
         Args:
             obs: by group.
