@@ -47,6 +47,7 @@ from polypod import _core
 from polypod._core import ConfigError
 from polypod.accuracy.limits import Limits
 from polypod.accuracy.robot import Actuators, Array, Robot, Surface
+from polypod.add import inertias
 from polypod.extras import package
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ class Reference:
         spec.option.gravity = gravity
         self.spec = spec
         """`mujoco.MjSpec` of the model."""
-        self.model = spec.compile()
+        self.model = inertias.compiled(spec)
         self.data = mj.MjData(self.model)
         if actuators is not None:
             _set_springs(self.model, joint_names, actuators)

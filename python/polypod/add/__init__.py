@@ -140,6 +140,11 @@ def _named_after(file: Path, staged: Path, name: str, read: _Found) -> Iterator[
             text = text.replace(str(written), str(file))
         if read.missing is not None and "collision shape" in text:
             text = f"{text}; {read.missing}"
+        if "collision shape" in text and (scenes := sources.including(file)):
+            names = description.listed([scene.name for scene in scenes])
+            text = f"{text}; {names} includes this file and may say what its geoms touch: add that file in its place"
+        if "the legs are not one at each corner" in text:
+            text = f"{text}; if they hang on the joints of a waist, lock these (--lock JOINT=POSITION)"
         if "legs were found" in text:
             text = "; ".join([text, *(note for note in read.notes if note.endswith(": locked"))])
         raise type(error)(text.replace("of robot new", "of polypod add")) from error

@@ -140,8 +140,9 @@ def compiled(file: Path, root: str | None = None) -> Compiled:
             _without_ground(mj, spec, notes)
             _with_ground(mj, spec, notes)
             _without_visuals(mj, spec)
-            _check_meshes(spec, file)
             base = _base(mj, spec, file, root)
+            _without_lost(mj, spec, base, file, notes)
+            _check_meshes(spec, file)
             _float(mj, spec, base, file, notes)
             model = spec.compile()
             model.names.decode("utf-8")
@@ -250,7 +251,9 @@ def _name_of(model: str, file: Path) -> str:
 
 
 def _without_pictures(spec: Any) -> None:
-    """Leaves textures out: nothing that is simulated depends on them."""
+    """Leaves textures and materials out: nothing that is simulated depends on them."""
+    for geom in spec.geoms:
+        geom.material = ""
     for material in spec.materials:
         material.textures = [""] * len(material.textures)
     for texture in list(spec.textures):
@@ -302,12 +305,50 @@ def _without_visuals(mj: Any, spec: Any) -> None:
         spec.delete(skin)
 
 
+def _without_lost(mj: Any, spec: Any, base: Any, file: Path, notes: list[str]) -> None:
+    """Leaves out missing meshes of other bodies, and sensors of missing elements."""
+    folder = _mesh_folder(spec, file)
+    lost = {name for name, mesh in _meshes(spec) if _is_lost(mesh, folder, file)}
+    lost -= {geom.meshname for body in _below(base) for geom in body.geoms}
+    bare = [geom for geom in spec.geoms if geom.meshname in lost]
+    for geom in bare:
+        # its body is no part of the robot, and is left out later
+        geom.type, geom.meshname, geom.size = mj.mjtGeom.mjGEOM_SPHERE, "", [0.01, 0.0, 0.0]
+        geom.contype = geom.conaffinity = 0
+    for name, mesh in _meshes(spec):
+        if name in lost:
+            spec.delete(mesh)
+    if lost:
+        notes.append(f"mesh {listed(sorted(lost))}: its file is not there, and no part of the robot: left out")
+    there = {mj.mjtObj.mjOBJ_BODY: spec.bodies, mj.mjtObj.mjOBJ_XBODY: spec.bodies}
+    there |= {mj.mjtObj.mjOBJ_GEOM: spec.geoms, mj.mjtObj.mjOBJ_SITE: spec.sites, mj.mjtObj.mjOBJ_JOINT: spec.joints}
+    named = {kind: {element.name for element in elements} for kind, elements in there.items()}
+    blind = [sensor for sensor in spec.sensors if sensor.objname not in named.get(sensor.objtype, {sensor.objname})]
+    if blind:
+        names = [sensor.name or sensor.objname for sensor in blind]
+        notes.append(f"sensor {listed(names)}: the file has no element of the name that it states: left out")
+    for sensor in blind:
+        spec.delete(sensor)
+
+
+def _meshes(spec: Any) -> list[tuple[str, Any]]:
+    """Meshes by the name that geoms state."""
+    return [(mesh.name or Path(mesh.file).stem, mesh) for mesh in spec.meshes]
+
+
+def _mesh_folder(spec: Any, file: Path) -> Path:
+    return Path(spec.modelfiledir or file.parent) / (spec.compiler.meshdir or spec.meshdir or "")
+
+
+def _is_lost(mesh: Any, folder: Path, file: Path) -> bool:
+    return bool(mesh.file) and not (folder / mesh.file).is_file() and not (file.parent / mesh.file).is_file()
+
+
 def _check_meshes(spec: Any, file: Path) -> None:
     """Raises ConfigError for a mesh that is needed and not there."""
-    folder = Path(spec.modelfiledir or file.parent) / (spec.compiler.meshdir or spec.meshdir or "")
-    for mesh in spec.meshes:
-        if mesh.file and not (folder / mesh.file).is_file() and not (file.parent / mesh.file).is_file():
-            name = mesh.name or Path(mesh.file).stem
+    folder = _mesh_folder(spec, file)
+    for name, mesh in _meshes(spec):
+        if _is_lost(mesh, folder, file):
             bodies = [geom.parent.name or "(without a name)" for geom in spec.geoms if geom.meshname == name]
             raise _core.ConfigError(
                 f"{file}: mesh {name}: {folder / mesh.file} is not there, and body {listed(bodies)} touches the ground "

@@ -31,7 +31,8 @@ def notes(made: Compiled) -> list[str]:
     if not coupled:
         return []
     return [
-        f"armature of tendon {listed(coupled)}: replaced by each joint's own share: what couples its joints is left out"
+        f"armature of tendon {listed(coupled)}: replaced by each joint's own share: what couples its joints is left "
+        "out; play the policy on the file with `polypod sim2sim --model` to see what that does"
     ]
 
 

@@ -25,7 +25,7 @@ def held_in(
     """
     mj, model = mujoco(), made.model
     held: dict[int, float] = {}
-    tied, free, loops, tendons = [], [], [], []
+    tied, free, loops, tendons, rotors = [], [], [], [], []
     moved: set[int] = set()
     for index in range(model.neq):
         if not model.eq_active0[index]:
@@ -41,9 +41,13 @@ def held_in(
                 # the joint that is driven moves on; the other one would follow it
                 held[other] = float(home[model.jnt_qposadr[other]])
                 tied.append(names[other])
+                slope = _slope(made, index, other, home)
+                rotors += _rotor(made, names, other, joint, 1.0 / slope if slope else 0.0)
             elif joint in ends:
                 held[joint] = _tied(made, index, joint, other, home)
                 tied.append(names[joint])
+                if len(ends) == 2:
+                    rotors += _rotor(made, names, joint, other, _slope(made, index, other, home))
         elif kind == int(mj.mjtEq.mjEQ_TENDON):
             tendons.append(name)
         elif _concerns(made, index):
@@ -51,6 +55,7 @@ def held_in(
             moved |= _around(made, index)
     if tied:
         notes.append(f"joint {listed(tied)}: tied by an equality constraint: locked")
+    notes += rotors
     if free:
         notes.append(f"joint {listed(free)}: tied by an equality constraint, both with actuators: the tie is left out")
     if loops:
@@ -78,6 +83,25 @@ def _tied(made: Compiled, index: int, joint: int, other: int, home: Array) -> fl
         at = float(home[address] - model.qpos0[address])
     polynomial = np.polynomial.Polynomial(model.eq_data[index][:5])
     return float(model.qpos0[model.jnt_qposadr[joint]] + polynomial(at))
+
+
+def _slope(made: Compiled, index: int, other: int, home: Array) -> float:
+    """Way of the first joint of an equality constraint per way of the `other`, in the home pose."""
+    model = made.model
+    address = model.jnt_qposadr[other]
+    polynomial = np.polynomial.Polynomial(model.eq_data[index][:5])
+    return float(polynomial.deriv()(float(home[address] - model.qpos0[address])))
+
+
+def _rotor(made: Compiled, names: Mapping[int, str], joint: int, driven: int, ratio: float) -> list[str]:
+    """A line for the rotor of a locked joint, which turns `ratio` times as far as a driven one."""
+    armature = ratio**2 * float(made.model.dof_armature[made.model.jnt_dofadr[joint]])
+    if not armature:
+        return []
+    return [
+        f"armature of joint {names[joint]}: left out, as it is locked: it is {armature:.3g} at joint {names[driven]}; "
+        "add it to that joint's armature in the TOML"
+    ]
 
 
 def _ends(made: Compiled, index: int) -> list[int]:

@@ -3,8 +3,8 @@
 Compared at random states: masses, joint limits, mass matrix, bias forces, accelerations under
 random torques, and one physics step with the joints' damping, springs and dry friction. Features
 that polypod leaves out are switched off in MuJoCo's model: contacts, equality constraints, tendons,
-the medium, and resistance of the free joint. Joints that polypod holds carry an infinite rotor
-there.
+the medium, and resistance and spring of the free joint. Joints that polypod holds carry an infinite
+rotor there.
 """
 
 import copy
@@ -196,6 +196,7 @@ class _Reference:
                 numbers[:] = 0.0
         for numbers in (model.dof_armature, model.dof_damping, model.dof_frictionloss):
             numbers[self.v[:6]] = 0.0
+        model.jnt_stiffness[int(model.body_jntadr[self.base])] = 0.0
         # as near to Coulomb's as the step allows
         model.dof_solref[:] = [2.0 * DT, 1.0]
         model.dof_solimp[:] = [0.9999, 0.9999, 0.001, 0.5, 2.0]

@@ -25,10 +25,13 @@ def left_out(made: Compiled, ellipsoids: Mapping[str, float]) -> list[str]:
             f"geom {listed(list(ellipsoids))}: an ellipsoid: replaced by a convex hull of "
             f"{BALL_POINTS} points, which is at most {1e3 * max(ellipsoids.values()):.2g} mm off"
         )
-    first = int(model.jnt_dofadr[model.body_jntadr[made.base]])
+    joint = int(model.body_jntadr[made.base])
+    first = int(model.jnt_dofadr[joint])
     free = slice(first, first + 6)
     if model.dof_armature[free].any() or model.dof_damping[free].any() or model.dof_frictionloss[free].any():
         notes.append("armature, damping and friction of the free joint: left out")
+    if np.any(model.jnt_stiffness[joint]):
+        notes.append("the spring of the free joint, which holds the base in the air: left out")
     dofs = [int(model.jnt_dofadr[joint]) for joint in joints if made.moves(joint)]
     bent = getattr(model, "jnt_stiffnesspoly", None)
     if bent is not None and np.any(np.asarray(bent)[joints]):

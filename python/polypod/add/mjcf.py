@@ -4,8 +4,9 @@
 `held` joints, `shapes` and `surfaces`, and notes the data that is `left_out`:
 
 - A body is a link. A body with several joints is a chain of links, all but the last of which weigh
-  `TOKEN`. This mass is taken off the body where it lies, in the anchor of the joint, so that
-  anchors in one point change nothing.
+  `TOKEN`. This mass is taken off the body where it lies. It lies in the anchor of the hinges that
+  follow, which moves with the body, so that nothing changes. Where these have several anchors, it
+  lies in the anchor of the link's own joint.
 - A joint away from its body's origin moves the link's frame to the joint.
 - A joint's zero is MuJoCo's: where `ref` puts the written frames elsewhere, the link's frame is
   turned back by it.
@@ -22,6 +23,7 @@
 import dataclasses
 import itertools
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -121,17 +123,21 @@ class Reader:
             balls += [joint for joint in own if int(model.jnt_type[joint]) == int(mujoco().mjtJoint.mjJNT_BALL)]
             moving = [joint for joint in own if made.moves(joint)]
             name = self._unique(made.named("BODY", body), "body", body)
-            anchor = np.zeros(3)
+            anchor = last = np.zeros(3)
             tokens = []
             for number, joint in enumerate(moving):
                 at, turn, anchor = self._before(joint, at, turn, anchor)
+                if number:
+                    is_still = self._turn_about_one_point(moving[number:])
+                    tokens.append(anchor if is_still else last)
+                    links[-1] = dataclasses.replace(links[-1], com=at if is_still else np.zeros(3))
+                last = anchor
                 is_last = number + 1 == len(moving)
                 link_name = name if is_last else self._unique(f"{name}_{self.names[joint]}_link", "body", body)
                 link = Link(link_name, parent, at, turn, self._joint(joint, drives))
                 if not is_last:
                     moments = np.eye(3) * TOKEN_INERTIA
                     link = dataclasses.replace(link, mass=TOKEN, inertia=moments)
-                    tokens.append(anchor)
                 links.append(link)
                 parent, at, turn = len(links) - 1, np.zeros(3), np.eye(3)
             if not moving:
@@ -159,6 +165,11 @@ class Reader:
         quaternion = np.zeros(4)
         mujoco().mju_axisAngle2Quat(quaternion, axis, -rest)
         return at + turn @ (here - anchor), turn @ matrix(quaternion), here
+
+    def _turn_about_one_point(self, joints: Sequence[int]) -> bool:
+        """Whether joints of one body are hinges with the same anchor."""
+        hinge, anchors = int(mujoco().mjtJoint.mjJNT_HINGE), self.model.jnt_pos[joints]
+        return all(int(self.model.jnt_type[joint]) == hinge for joint in joints) and bool((anchors == anchors[0]).all())
 
     def _joint(self, joint: int, drives: dict[int, Drive]) -> Joint:
         """A joint with the numbers of the actuators that act on it."""

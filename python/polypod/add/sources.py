@@ -212,6 +212,17 @@ def _included(files: list[Path]) -> set[str]:
     return names
 
 
+def including(file: Path) -> list[Path]:
+    """Files next to one that include it."""
+    found = []
+    for path in sorted(file.absolute().parent.glob("*.xml"))[:MOST_SEEN]:
+        with contextlib.suppress(OSError, _core.ConfigError):
+            text = read_bytes(path, MOST_BYTES).decode("utf-8", errors="replace")
+            if re.search(rf"<include[^>]*\bfile=[\"']{re.escape(file.name)}[\"']", text):
+                found.append(path)
+    return found
+
+
 def _license(file: Path, folder: Path | None) -> str | None:
     """Text of the licence next to a file or above it, within `folder` if there is one."""
     above = file.absolute().parent

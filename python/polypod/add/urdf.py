@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from polypod import _core
+from polypod.add import inertias
 from polypod.add.compiling import mujoco
 from polypod.add.description import Array, Description, Joint, Link, inertial_of, listed, of_point, turned
 from polypod.add.root import rooted
@@ -235,7 +236,7 @@ def _compiled(mj: Any, root: ElementTree.Element) -> Any:
     spec = mj.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
     spec.compiler.fusestatic = False
     spec.worldbody.first_body().add_freejoint()
-    return spec.compile()
+    return inertias.compiled(spec)
 
 
 def _merge(root: ElementTree.Element) -> None:

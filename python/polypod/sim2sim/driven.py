@@ -13,7 +13,7 @@ from `polypod.sim2sim.maker`.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -134,6 +134,8 @@ class Driven:
         self._mj = mujoco()
         self._is_base = is_base
         self._data = states(reference.model, self.num_envs, "--num-envs")
+        # views of their memory
+        self._qpos, self._qvel = [data.qpos for data in self._data], [data.qvel for data in self._data]
         self._wrench = np.zeros(6)
         ages = 1 + int(np.ceil(self.delays.max(initial=0.0) / self.step_dt - 1e-9))
         self._targets = np.zeros((ages, self.num_envs, robot.num_joints))
@@ -155,8 +157,7 @@ class Driven:
         self.policy.reset()
         self._network_memory = None
         self._fresh = True
-        for env in range(self.num_envs):
-            self._read(env)
+        self._read(range(self.num_envs))
 
     def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
         """One control step towards `commands` [envs, 3].
@@ -203,7 +204,7 @@ class Driven:
         """Adds velocities [envs, 3] to the bases, world axes, m/s."""
         for env, (data, added) in enumerate(zip(self._data, velocity, strict=True)):
             data.qvel[self.reference.v[:3]] += added
-            self._read(env)
+            self._read([env])
 
     def sensors(self) -> dict[str, Array]:
         """Readings of the robot's sensors, named as the folded graph's inputs, [envs, size]."""
@@ -270,29 +271,40 @@ class Driven:
             error = (targets - self.qpos[:, 7:]).astype(np.float32)
             velocity = self.qvel[:, 6:].astype(np.float32)
             self._network_output, self._network_memory = self._network_torques(error, velocity, self._network_memory)
-        for env in envs:
+        rows: list[int] = envs.tolist()
+        inputs = self._inputs(targets, ranges)
+        for env in rows:
             data = self._data[env]
-            self._drive(data, targets[env], ranges[env])
+            self._drive(data, *(each[env] for each in inputs))
             if self._network_torques is not None:
                 self._push_joints(data, np.clip(self._network_output[env], *ranges[env].T))
             self._mj.mj_step(model, data)
-            self._read(env)
-            self._watch(env, ranges[env])
             fell[env] |= self._touches_with_base(data)
+        self._read(rows)
+        self._watch(rows, ranges)
         # a state that is not finite is a fall
         fell |= ~np.isfinite(self.qpos).all(axis=1)
 
-    def _drive(self, data: Any, targets: Array, ranges: Array) -> None:
-        """Sets the targets [joints], rad, and effort ranges [joints, 2] of an env's actuators."""
-        self.reference.model.actuator_forcerange[:] = ranges
-        data.ctrl[:] = targets
+    def _inputs(self, targets: Array, ranges: Array) -> tuple[Array, Array]:
+        """Controls [envs, joints] and ranges of force [envs, joints, 2] of the actuators.
+
+        Args:
+            targets: [envs, joints], rad.
+            ranges: of effort, [envs, joints, 2], N m.
+        """
+        return targets, ranges
+
+    def _drive(self, data: Any, control: Array, forces: Array) -> None:
+        """Sets the controls [joints] and ranges of force [joints, 2] of an env's actuators."""
+        self.reference.model.actuator_forcerange[:] = forces
+        data.ctrl[:] = control
 
     def _push_joints(self, data: Any, effort: Array) -> None:
         """Applies efforts [joints] to the joints of an env, N m."""
         data.qfrc_applied[self.reference.v[6:]] = effort
 
-    def _watch(self, env: int, ranges: Array) -> None:
-        """Sees an env after a physics step."""
+    def _watch(self, envs: Sequence[int], ranges: Array) -> None:
+        """Sees envs after a physics step, with their ranges of effort [envs, joints, 2]."""
 
     def _touches_with_base(self, data: Any) -> bool:
         """Whether the base pressed on the ground in the last physics step."""
@@ -312,8 +324,13 @@ class Driven:
         data.qpos[self.reference.q], data.qvel[self.reference.v] = qpos, qvel
         data.qpos[:3] += place
 
-    def _read(self, env: int) -> None:
-        """Reads the state of an env."""
-        data = self._data[env]
-        self.qpos[env], self.qvel[env] = data.qpos[self.reference.q], data.qvel[self.reference.v]
-        self.qpos[env, :3] -= self.places[env]
+    def _states(self, envs: Sequence[int]) -> tuple[Array, Array]:
+        """Positions and velocities of the model's base and joints, a row for each of `envs`."""
+        qpos = np.array([self._qpos[env] for env in envs]).reshape(len(envs), -1)[:, self.reference.q]
+        return qpos, np.array([self._qvel[env] for env in envs]).reshape(len(envs), -1)[:, self.reference.v]
+
+    def _read(self, envs: Sequence[int]) -> None:
+        """Reads the states of envs."""
+        if len(envs):
+            self.qpos[envs], self.qvel[envs] = self._states(envs)
+            self.qpos[envs, :3] -= self.places[envs]

@@ -558,55 +558,65 @@ class Maker(Driven):
         self._signs, self._offsets = model.map.signs, model.map.offsets
         self.base_axes = model.map.turn.T
         self._own_range = model.effort_ranges()
+        self._policys = model.actuators[model.is_policys]
+        self._force = [data.actuator_force for data in self._data]
         self.saturated = np.zeros((self.num_envs, model.robot.num_joints))
         """[envs, joints], physics steps in which the actuator was at its limit, since this was set
         to zero."""
         self.watched = np.zeros(self.num_envs)
         """[envs], physics steps since then."""
 
-    def _drive(self, data: Any, targets: Array, ranges: Array) -> None:
-        body = self.reference
-        model, policys = body.model, body.is_policys
-        efforts = self._signs[:, None] * ranges
-        efforts.sort(axis=1)
-        model.actuator_forcerange[body.actuators[policys]] = efforts[policys]
-        data.ctrl[body.actuators] = body.gears * (self._signs * (targets - self._offsets))
+    def _inputs(self, targets: Array, ranges: Array) -> tuple[Array, Array]:
+        efforts = np.sort(self._signs[:, None] * ranges, axis=2)[:, self.reference.is_policys]
+        return self.reference.gears * (self._signs * (targets - self._offsets)), efforts
+
+    def _drive(self, data: Any, control: Array, forces: Array) -> None:
+        if len(self._policys):
+            self.reference.model.actuator_forcerange[self._policys] = forces
+        data.ctrl[self.reference.actuators] = control
 
     def _push_joints(self, data: Any, effort: Array) -> None:
         data.qfrc_applied[self.reference.v[6:]] = self._signs * effort
 
-    def _watch(self, env: int, ranges: Array) -> None:
-        body, force = self.reference, self._data[env].actuator_force[self.reference.actuators]
-        limits = np.where(body.is_policys[:, None], np.sort(self._signs[:, None] * ranges, axis=1), self._own_range)
-        slack = 1e-3 * (limits[:, 1] - limits[:, 0])
-        at_limit = (force <= limits[:, 0] + slack) | (force >= limits[:, 1] - slack)
-        self.saturated[env] += at_limit & np.isfinite(slack)
-        self.watched[env] += 1
+    def _watch(self, envs: Sequence[int], ranges: Array) -> None:
+        if not len(envs):
+            return
+        body = self.reference
+        force = np.array([self._force[env] for env in envs])[:, body.actuators]
+        efforts = np.sort(self._signs[:, None] * ranges[envs], axis=2)
+        limits = np.where(body.is_policys[:, None], efforts, self._own_range)
+        slack = 1e-3 * (limits[..., 1] - limits[..., 0])
+        at_limit = (force <= limits[..., 0] + slack) | (force >= limits[..., 1] - slack)
+        self.saturated[envs] += at_limit & np.isfinite(slack)
+        self.watched[envs] += 1
 
     def _contacts_of_base(self, data: Any) -> npt.NDArray[np.intp]:
         geoms = data.contact.geom
+        of_base = self._is_base[geoms]
+        if not of_base.any():
+            return np.zeros(0, dtype=np.intp)
         static = self.reference.is_static[geoms]
-        return np.flatnonzero((self._is_base[geoms] & static[:, ::-1]).any(axis=1))
+        return np.flatnonzero((of_base & static[:, ::-1]).any(axis=1))
 
     def _write(self, data: Any, place: Array, qpos: Array, qvel: Array) -> None:
         write(self.reference, data, place, qpos, qvel)
         for actuator, rest in self.reference.resting.items():
             data.ctrl[actuator] = rest
 
-    def _read(self, env: int) -> None:
-        body, data = self.reference, self._data[env]
-        qpos, qvel = data.qpos[body.q], data.qvel[body.v]
+    def _states(self, envs: Sequence[int]) -> tuple[Array, Array]:
+        body = self.reference
+        qpos, qvel = super()._states(envs)
         if not body.map.is_equal:
             turn, shift = body.map.turn, body.map.shift
-            qpos[3:7] = mapping.times(qpos[3:7], mapping.quaternion_of(turn.T))
-            rotation = rotations.matrix(qpos[3:7])
-            qpos[:3] -= rotation @ shift
-            qvel[3:6] = turn @ qvel[3:6]
-            qvel[:3] -= np.cross(rotation @ qvel[3:6], rotation @ shift)
-        qpos[7:] = self._signs * qpos[7:] + self._offsets
-        qvel[6:] *= self._signs
-        self.qpos[env], self.qvel[env] = qpos, qvel
-        self.qpos[env, :3] -= self.places[env]
+            for q, v in zip(qpos, qvel, strict=True):
+                q[3:7] = mapping.times(q[3:7], mapping.quaternion_of(turn.T))
+                rotation = rotations.matrix(q[3:7])
+                q[:3] -= rotation @ shift
+                v[3:6] = turn @ v[3:6]
+                v[:3] -= np.cross(rotation @ v[3:6], rotation @ shift)
+        qpos[:, 7:] = self._signs * qpos[:, 7:] + self._offsets
+        qvel[:, 6:] *= self._signs
+        return qpos, qvel
 
 
 def clusters_of(groups: Sequence[str], ours: Reference, outlines: Sequence[Any], joints: Sequence[int]) -> list[int]:

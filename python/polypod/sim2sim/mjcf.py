@@ -9,6 +9,7 @@ import dataclasses
 import importlib
 import json
 import os
+import re
 import stat
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from typing import Any
 
 MAX_BYTES = 64 << 20
 """Largest size of a file, bytes."""
+HEAD = 1 << 16
+"""Bytes in which the root element of a file stands."""
 MAX_SECONDS = 60
 """Computing time that MuJoCo may take to compile the file."""
 MAX_MEMORY = 8 << 30
@@ -41,10 +44,21 @@ def read(path: str) -> Reading:
     """
     mj = importlib.import_module("mujoco")
     spec = mj.MjSpec.from_file(path)
+    if _is_urdf(path):
+        # MuJoCo would merge a root link, which hangs on no joint, into the world
+        spec.compiler.fusestatic = False
     left_out: list[str] = []
     _leave_out_meshes(mj, spec, left_out)
     _leave_out_textures(spec, left_out)
     return Reading(spec, left_out)
+
+
+def _is_urdf(path: str) -> bool:
+    """Whether the root element of a file is <robot>."""
+    with Path(path).open("rb") as file:
+        head = file.read(HEAD).decode("utf-8", errors="replace")
+    head = re.sub(r"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", "", head, flags=re.DOTALL)
+    return re.match(r"[\s\ufeff]*<\s*robot\b", head) is not None
 
 
 def check(path: Path) -> None:

@@ -274,12 +274,13 @@ def guess(model_file: Path, robots: Sequence[str]) -> str:
         model = spec.compile()
     except Exception as error:
         raise _core.ConfigError(f"--model {model_file}: {mjcf.one_line(error)}") from error
-    names = {model.joint(joint).name for joint in range(model.njnt)}
+    names = [model.joint(joint).name for joint in range(model.njnt)]
     sim = _core.VecSim(accuracy_robot.TASK, len(robots), robots=list(robots), threads=1)
     infos = json.loads(sim.robot_info())
     costs: dict[str, float] = {}
     for source, name in zip(robots, sim.robots, strict=True):
-        if not set(infos[name]["joint_names"]) <= names:
+        joints = infos[name]["joint_names"]
+        if len(mapping.named(joints, names)) < len(joints):
             continue
         try:
             found = Model(mjcf.read(str(model_file)), model_file.name, accuracy_robot.of(sim, name, source))

@@ -145,6 +145,22 @@ def test_joints_of_the_same_names_are_paired_by_name(tmp_path, a1):
     assert max(pair.apart for pair in model.map.pairs) < 1e-6
 
 
+def test_the_robot_of_a_file_is_found_by_the_names_of_its_joints(tmp_path, a1):
+    """The word joint in them does not count."""
+    file = written(tmp_path, a1.replace("_joint", ""))
+    assert on_model.guess(file, ["anymal_b", "unitree_a1"]) == "unitree_a1"
+
+
+def test_a_urdf_is_a_model_too(tmp_path):
+    """MuJoCo would merge its root link into the world, and leave four legs without a base."""
+    file = written(tmp_path, robot_of("unitree_a1").urdf, "a1.urdf")
+    model = model_of(file)
+    assert {pair.how for pair in model.map.pairs} == {"name"}
+    assert f"{model.root} has no free joint: one is added" in model.notes
+    assert model.model.nv == 6 + 12
+    assert on_model.guess(file, ["anymal_b", "unitree_a1"]) == "unitree_a1"
+
+
 @pytest.mark.parametrize("rename", [True, False])
 def test_joints_are_found_by_geometry(tmp_path, a1, rename):
     """Permuted, renamed, flipped and with other zeros: the same robot."""
@@ -340,7 +356,13 @@ def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, ef
     robots = stage.maker_of(model)
     robots.reset(*stage.start(model))
     near = robot.default_position + 0.05
-    robots._drive(robots._data[0], near, np.zeros((12, 2)))
+    no_limits = np.zeros((robots.num_envs, 12, 2))
+
+    def drive(targets: np.ndarray) -> None:
+        controls, forces = robots._inputs(np.tile(targets, (robots.num_envs, 1)), no_limits)
+        robots._drive(robots._data[0], controls[0], forces[0])
+
+    drive(near)
     np.testing.assert_allclose(robots._data[0].ctrl, target * near)
     mujoco.mj_forward(model.model, robots._data[0])
     angles, rates = robots.qpos[0, 7:], robots.qvel[0, 6:]
@@ -348,9 +370,9 @@ def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, ef
     damping = 1.0 if target == 1.0 else robot.actuators.damping
     torque = np.clip(stiffness * (near - angles) - damping * rates, -effort * target, effort * target)
     np.testing.assert_allclose(robots._data[0].qfrc_actuator[model.v[6:]], torque, atol=1e-9)
-    robots._drive(robots._data[0], near + 100.0, np.zeros((12, 2)))
+    drive(near + 100.0)
     mujoco.mj_forward(model.model, robots._data[0])
-    robots._watch(0, np.zeros((12, 2)))
+    robots._watch([0], no_limits)
     assert (robots.saturated[0] == 1.0).all()
 
 

@@ -90,7 +90,8 @@ def test_the_guard_says_what_the_reader_says_of_the_users_file(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     for file in (Path("fox.xml"), Path("a/fox.xml"), tmp_path / "fox.xml"):
         file.parent.mkdir(exist_ok=True)
-        file.write_text(fox(more=MESH.format("gone.stl")))
+        asset = '<asset><mesh name="m" file="gone.stl"/></asset>'
+        file.write_text(fox(more=asset, trunk='<geom type="mesh" mesh="m"/>'))
         messages = []
         for reading in (compiling.check, compiling.compiled):
             with pytest.raises(_core.ConfigError) as caught:
