@@ -3,7 +3,9 @@
 use super::mesh::Mesh;
 use super::tiles::{Level, both};
 use crate::components::EnvRng;
-use crate::config::{BeamsConfig, RepeatedBoxesConfig, RepeatedRoundConfig, StarConfig, StonesConfig};
+use crate::config::{
+    BeamsConfig, BoxObjectConfig, RepeatedObject, RepeatedObjectsConfig, RoundObjectConfig, StarConfig, StonesConfig,
+};
 use crate::dynamics::lanes::Real;
 
 /// Sides of a cylinder.
@@ -103,25 +105,52 @@ struct Objects {
     tilt: f64,
     /// Radius about its middle that holds an object, m.
     reach: f64,
+    /// Height of their underside: below the ground, where they are tilted.
+    root: f64,
     abs_noise: [f64; 2],
     rel_noise: [f64; 2],
     platform: f64,
+    /// Height of the platform; that of the objects if it is negative.
+    platform_height: f64,
 }
 
+/// Depth below the ground to which tilted objects reach, as a share of their radius: the tangent of
+/// the largest tilt.
+const ROOT: f64 = 1.8;
+
 impl Objects {
+    /// Objects of a level, whose middle is `radius` from their farthest point while they are
+    /// upright.
+    fn new<T: RepeatedObject>(c: &RepeatedObjectsConfig<T>, level: &Level, radius: f64) -> Self {
+        let (a, b) = (&c.object_params_start, &c.object_params_end);
+        let height = level.rising([a.height(), b.height()]);
+        let tilt = level.ratio([a.tilt(), b.tilt()]).to_radians();
+        let leaning = Real::sin_cos(tilt).0;
+        Self {
+            count: level.ratio([a.count(), b.count()].map(f64::from)).round() as u32,
+            height,
+            tilt,
+            reach: radius + height * leaning,
+            root: if tilt > 0.0 { -ROOT * radius } else { 0.0 },
+            abs_noise: c.abs_height_noise,
+            rel_noise: c.rel_height_noise,
+            platform: c.platform_width,
+            platform_height: c.platform_height,
+        }
+    }
+
     /// The level ground, the platform, and the objects, each drawn by `draw` at its height with its
     /// heading; objects are tilted about the middle of their underside.
     fn mesh(
         &self,
         level: &Level,
-        platform_height: f64,
         rng: &mut EnvRng,
         draw: impl Fn(&mut Mesh, f64, &dyn Fn([f64; 3]) -> [f64; 3]),
     ) -> Mesh {
         let edges = level.half();
         let mut mesh = Mesh::terraces(&[(edges, 0.0)]);
         let half = level.snap(0.5 * self.platform);
-        let top = if platform_height < 0.0 { self.height } else { platform_height * level.scale };
+        let top = if self.platform_height < 0.0 { self.height } else { self.platform_height * level.scale };
         if top > 0.0 {
             mesh.pillar(both(half), both(half), [0.0, top]);
         }
@@ -154,54 +183,29 @@ impl Objects {
     }
 }
 
-/// Depth below the ground to which tilted objects reach, as a share of their radius: the tangent of
-/// the largest tilt.
-const ROOT: f64 = 1.8;
-
 /// Boxes at random places.
-pub(super) fn boxes(c: &RepeatedBoxesConfig, level: &Level, rng: &mut EnvRng) -> Mesh {
+pub(super) fn boxes(c: &RepeatedObjectsConfig<BoxObjectConfig>, level: &Level, rng: &mut EnvRng) -> Mesh {
     let (a, b) = (&c.object_params_start, &c.object_params_end);
     let size = [0, 1].map(|axis| level.ratio([a.size[axis], b.size[axis]]) * level.scale);
-    let reach = 0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt();
-    let height = level.rising([a.height, b.height]);
-    let angle = level.ratio([a.max_yx_angle, b.max_yx_angle]).to_radians();
-    let leaning = Real::sin_cos(angle).0;
-    let objects = Objects {
-        count: level.ratio([a.num_objects, b.num_objects].map(f64::from)).round() as u32,
-        height,
-        tilt: angle,
-        reach: reach + height * leaning,
-        abs_noise: c.abs_height_noise,
-        rel_noise: c.rel_height_noise,
-        platform: c.platform_width,
-    };
-    let root = if angle > 0.0 { -ROOT * reach } else { 0.0 };
-    objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
+    let objects = Objects::new(c, level, 0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt());
+    objects.mesh(level, rng, |mesh, height, move_to| {
         let corners = |z: f64| {
             [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[u, v]| move_to([u * size[0], v * size[1], z]))
         };
-        mesh.body(&corners(root), &corners(height));
+        mesh.body(&corners(objects.root), &corners(height));
     })
 }
 
 /// Pyramids of four sides, or cylinders of more, at random places.
-pub(super) fn round(c: &RepeatedRoundConfig, level: &Level, sides: usize, rng: &mut EnvRng) -> Mesh {
-    let (a, b) = (&c.object_params_start, &c.object_params_end);
-    let radius = level.rising([a.radius, b.radius]);
-    let height = level.rising([a.height, b.height]);
-    let angle = level.ratio([a.max_yx_angle, b.max_yx_angle]).to_radians();
-    let leaning = Real::sin_cos(angle).0;
-    let objects = Objects {
-        count: level.ratio([a.num_objects, b.num_objects].map(f64::from)).round() as u32,
-        height,
-        tilt: angle,
-        reach: radius + height * leaning,
-        abs_noise: c.abs_height_noise,
-        rel_noise: c.rel_height_noise,
-        platform: c.platform_width,
-    };
-    let root = if angle > 0.0 { -ROOT * radius } else { 0.0 };
-    objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
+pub(super) fn round(
+    c: &RepeatedObjectsConfig<RoundObjectConfig>,
+    level: &Level,
+    sides: usize,
+    rng: &mut EnvRng,
+) -> Mesh {
+    let radius = level.rising([c.object_params_start.radius, c.object_params_end.radius]);
+    let objects = Objects::new(c, level, radius);
+    objects.mesh(level, rng, |mesh, height, move_to| {
         let corners = |z: f64| -> Vec<[f64; 3]> {
             let corner = |k: usize| {
                 let (sin, cos) = Real::sin_cos(std::f64::consts::TAU * k as f64 / sides as f64);
@@ -210,11 +214,11 @@ pub(super) fn round(c: &RepeatedRoundConfig, level: &Level, sides: usize, rng: &
             (0..sides).map(corner).collect()
         };
         if sides > 4 {
-            mesh.body(&corners(root), &corners(height));
+            mesh.body(&corners(objects.root), &corners(height));
         } else {
             let foot = corners(0.0);
-            if root < 0.0 {
-                mesh.body(&corners(root), &foot);
+            if objects.root < 0.0 {
+                mesh.body(&corners(objects.root), &foot);
             }
             mesh.pyramid(&foot, move_to([0.0, 0.0, height]));
         }
