@@ -61,6 +61,7 @@ mod other_bodies_match_the_facts;
 mod padded_slots_change_nothing;
 mod plugins_can_be_replaced;
 mod randomisation_follows_its_ranges;
+mod rays_meet_what_a_slow_walk_meets;
 mod reward_terms_match_hand_computed_values;
 mod reward_terms_of_each_robot;
 mod robot_assets_match_the_facts;

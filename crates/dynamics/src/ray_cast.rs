@@ -1,7 +1,7 @@
 //! Rays of an image against the ground: where each of them first meets the heights of a grid.
 //!
-//! A ray steps through squares of 16 cells, through squares of 4 and through cells. Of a square the
-//! highest and the lowest point are known. A falling ray goes on from where it is as high as the
+//! A ray steps through squares of 16 cells, through squares of 4 and through cells. The highest and
+//! the lowest point of each square are known. A falling ray goes on from where it is as high as the
 //! highest point; it meets a level square there. In a cell the surface is two triangles, as
 //! [`HeightGrid`] has them. The result is exact but for rounding: no feature is too thin.
 //!
@@ -102,8 +102,8 @@ pub struct Rays<'a> {
     pub position: Vec3<f32>,
     /// Camera's axes as columns: x along the camera's axis, y to the left, z to the top.
     pub rotation: &'a Mat3<f32>,
-    /// Directions in the camera's axes, x, y and z: `[3][rays]`. Their length is the unit of a ray's
-    /// distances.
+    /// Directions in the camera's axes, x, y and z: `[3][rays]`. Their length is the unit of a
+    /// ray's distances.
     pub directions: [&'a [f32]; 3],
     /// Largest distance.
     pub end: f32,
@@ -186,9 +186,9 @@ impl<const N: usize> Queue<N> {
 
 /// The queues of all steps.
 ///
-/// A ray is its number, direction (x and y in cells, z in m per unit of distance), the inverses of x
-/// and y, the distance that it has come, and the square or cell that it enters there. In cells, the
-/// distance at which it leaves their square follows.
+/// A ray is its number, direction (x and y in cells, z in m per unit of distance), the inverses of
+/// x and y, the distance that it has come, and the square or cell that it enters there. In cells,
+/// the distance at which it leaves their square follows.
 struct Queues {
     large: Queue<9>,
     small: Queue<9>,
