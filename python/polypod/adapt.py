@@ -204,17 +204,10 @@ def _robot_name(given: Path) -> str:
 
 
 def _fitting_policy(robot: str) -> Path:
-    """The bundled policy to begin with.
-
-    Chosen by the number of legs, and by whether it has a column for every joint.
-    """
+    """The bundled policy to begin with, by the number of legs."""
     sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
     (info,) = json.loads(sim.robot_info()).values()
-    if len(info["legs"]) != 4:
-        others = bundled.checkpoint(OTHERS)
-        if set(sim.canonical_joint_names) <= set(run_dir.read_manifest(others)["canonical_joint_names"]):
-            return others
-    return bundled.checkpoint(FOUR_LEGS)
+    return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
 
 
 def _changes(

@@ -8,7 +8,7 @@ FOLDER = Path(__file__).parent / "policies"
 NAMES = {
     "flat": "flat_universal",
     "rough": "rough_universal",
-    "legged": "legged_masked",
+    "legged": "any_legged",
     "quadruped": "quadruped",
 }
 """Names on the command line, and folders."""

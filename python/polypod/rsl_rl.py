@@ -8,6 +8,7 @@ through pinned memory.
 """
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,12 @@ try:
     from polypod.tensors import tensor_over
 except ModuleNotFoundError as error:
     raise missing(error, "polypod.rsl_rl", "train") from error
+
+
+_COPIERS = 4
+"""Threads that copy a large array into pinned memory: one reaches a part of the memory's speed."""
+_LARGE = 1 << 22
+"""Bytes from which on they do it."""
 
 
 class VecEnv(rsl_rl.env.VecEnv):
@@ -77,6 +84,7 @@ class VecEnv(rsl_rl.env.VecEnv):
             self.num_envs, self.num_actions, dtype=torch.float32, pin_memory=self.device.type == "cuda"
         )
         self._pinned: dict[str, torch.Tensor] = {}
+        self._copiers = ThreadPoolExecutor(_COPIERS, "copier") if self.device.type == "cuda" else None
         mask = torch.from_numpy(self._sim.action_mask.astype(np.float32)).to(self.device)
         self._mask = mask if self._sim.is_padded else None
         self._other_groups = [group for group in self._sim.observation_groups if group != "policy"]
@@ -192,6 +200,8 @@ class VecEnv(rsl_rl.env.VecEnv):
 
     def close(self) -> None:
         """Closes the wrapped env."""
+        if self._copiers is not None:
+            self._copiers.shutdown()
         self.unwrapped.close()
 
     def _tensor(self, name: str, array: np.ndarray) -> torch.Tensor:
@@ -209,4 +219,8 @@ class VecEnv(rsl_rl.env.VecEnv):
         pinned = self._pinned.get(name)
         if pinned is None:
             pinned = self._pinned[name] = torch.empty_like(host, pin_memory=True)
-        return pinned.copy_(host)
+        if self._copiers is None or host.nbytes < _LARGE:
+            return pinned.copy_(host)
+        parts = zip(np.array_split(pinned.numpy(), _COPIERS), np.array_split(host.numpy(), _COPIERS), strict=True)
+        list(self._copiers.map(lambda part: np.copyto(*part), parts))
+        return pinned

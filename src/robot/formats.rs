@@ -43,7 +43,7 @@ pub(super) fn recognised(bytes: &[u8]) -> Option<(&'static str, &'static str)> {
 /// Format of a document whose root element is not `<robot>`, by that element.
 pub(super) fn of_root(tag: &str) -> String {
     match tag {
-        "mujoco" => "this is a MuJoCo (MJCF, mujoco) file: export the robot as URDF".to_string(),
+        "mujoco" => "this is a MuJoCo (MJCF, mujoco) file: `polypod add` takes it, or export the robot as URDF".to_string(),
         "mujocoinclude" => "this is a part of a MuJoCo (MJCF) file: export the robot as URDF".to_string(),
         "sdf" | "gazebo" => "this is an SDF (sdf) file: export the robot as URDF".to_string(),
         "COLLADA" => "this is a COLLADA mesh: name the URDF that uses it".to_string(),

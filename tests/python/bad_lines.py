@@ -134,7 +134,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         _COMMON
         | {"--checkpoint": FILES, "--num-envs": COUNTS, "--steps": COUNTS, "--dt": FLOATS, "--friction": FLOATS}
         | {"--json": OUTPUTS, "--command": FLOATS, "--integrator": NAMES, "--robot": NAMES}
-        | {"--commands": NAMES},
+        | {"--commands": NAMES, "--terms": FILES},
     ),
     "sim2sim model": (
         (*_CHECKPOINT, "--num-envs", "1", "--robots", "spot", "--model", "nothing.xml"),

@@ -52,6 +52,8 @@ _ROOT = Path(__file__).parents[2]
 _POLICIES = _ROOT / "python" / "polypod" / "policies"
 (FLAT_POLICY,) = (_POLICIES / "flat_universal").glob("model_*.pt")
 (ROUGH_POLICY,) = (_POLICIES / "rough_universal").glob("model_*.pt")
-(LEGGED_POLICY,) = (_POLICIES / "legged_masked").glob("model_*.pt")
-"""The bundled checkpoints."""
+(LEGGED_POLICY,) = (_POLICIES / "any_legged").glob("model_*.pt")
+"""Bundled checkpoints."""
+(MASKED_POLICY,) = (_ROOT / "tests" / "data" / "policies" / "legged_masked").glob("model_*.pt")
+"""A perceptron with a column for every joint of 24 robots, trained by `legged_finish`."""
 ROBOT_FOLDER = _ROOT / "assets" / "robots"

@@ -9,6 +9,7 @@ import pytest
 import torch
 from test_trainings_end_when_robots_walk import FIGURES, bad
 
+from common import MASKED_POLICY
 from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
 from polypod.runs import config, run_dir
@@ -147,16 +148,15 @@ def _core_urdf(robot):
 
 def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cli, tmp_path, measured):
     measured(bad(0.4), FIGURES, FIGURES)
-    done = cli("adapt", "unitree_h1", *FLAGS)
+    done = cli("adapt", "unitree_h1", "--checkpoint", str(MASKED_POLICY), *FLAGS)
     assert done.returncode == 0, done.stderr
-    assert "begins with legged" in done.stdout
     (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
     (checkpoint,) = run.glob("model_*.pt")
-    of_policy, manifest = run_dir.read_manifest(bundled.checkpoint("legged")), run_dir.read_manifest(checkpoint)
+    of_policy, manifest = run_dir.read_manifest(MASKED_POLICY), run_dir.read_manifest(checkpoint)
     assert manifest["robots"] == ["unitree_h1"]
     for key in ("canonical_joint_names", "observation_layout"):
         assert manifest[key] == of_policy[key]
-    weights = [run_dir.load_checkpoint(path)["actor_state_dict"] for path in (bundled.checkpoint("legged"), checkpoint)]
+    weights = [run_dir.load_checkpoint(path)["actor_state_dict"] for path in (MASKED_POLICY, checkpoint)]
     assert all(bool(torch.isfinite(value.float()).all()) for value in weights[1].values())
     first = "mlp.0.weight"
     changed = (weights[0][first] != weights[1][first]).any(dim=0)
@@ -166,6 +166,21 @@ def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cl
     resumed = session.Options(resume=str(run), max_iterations=1, logger="none", device="cpu", threads=1)
     _, runner = session.train_with(resumed, Workers.alone())
     assert runner.current_learning_iteration == 2
+
+
+def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, measured):
+    """A student has no critic: a new one learns first."""
+    measured(bad(0.4), FIGURES, FIGURES)
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "begins with legged" in done.stdout
+    assert "it has no critic; a new one learns" in " ".join(done.stdout.split())
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["hidden_dims"] == [512, 256, 128]
+    assert "distillation" not in manifest["train_config"]
+    assert "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
 
 
 def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured):

@@ -763,3 +763,13 @@ def _turn(roll: float, pitch: float, yaw: float) -> np.ndarray:
     about_y = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     about_z = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     return about_z @ about_y @ about_x
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("r.usda", b"#usda 1.0\n"), ("r.usd", b"PXR-USDC\0"), ("r.usdz", b"PK\3\4")]
+)
+def test_a_usd_file_is_named_as_such(cli, tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    done = cli("add", name, "--name", "mine", "--out", "mine")
+    assert done.returncode == 2
+    assert "this is a USD file; export the robot as URDF or MJCF" in done.stderr

@@ -40,9 +40,9 @@ def test_contracts_follow_the_schema(deployed_policies, policy, robot):
     SCHEMA.validate(found)
     _, contract = open_file(path)
     assert contract.robot == robot
-    assert ("base_lin_vel" in found["needs"]["estimated"]) == (policy != "quadruped")
+    assert ("base_lin_vel" in found["needs"]["estimated"]) == (policy in ("flat", "rough"))
     assert found["needs"]["mapped"] == (["height_scan"] if policy == "rough" else [])
-    assert bool(found["states"]) == (policy == "quadruped")
+    assert bool(found["states"]) == (policy in ("legged", "quadruped"))
     assert contract.num_rays == (187 if policy == "rough" else 0)
 
 
@@ -99,14 +99,18 @@ CHANGES = [
         "newest_first",
         "contract.observation.order is 'newest_first'; it must be one of oldest",
     ),
-    (["observation", "size"], 5, "contract.observation.size is 5, but its terms have 219"),
-    (["observation", "terms", 4, "size"], 12, r"contract.observation.terms\[4\].size gives 12 numbers a step"),
+    (["observation", "size"], 5, "contract.observation.size is 5, but its terms have 2379"),
+    (["observation", "terms", 4, "size"], 10, r"contract.observation.terms\[4\].size gives 2 numbers a step"),
     (["observation", "terms", 4, "start"], 13, r"contract.observation.terms\[4\].start is 13"),
     (["observation", "terms", 4, "history"], 7, r"contract.observation.terms\[4\].history is 7, which does not divide"),
     (["observation", "terms", 4, "source"], "sonar", r"contract.observation.terms\[4\].source is 'sonar'"),
     (["observation", "terms", 4, "clip"], [1.0, -1.0], r"contract.observation.terms\[4\].clip"),
-    (["observation", "terms", 4, "constant"], [1.0], r"contract.observation.terms\[4\].constant has 1 numbers, not 69"),
-    (["inputs", 0, "size"], 4, "contract.inputs gives base_lin_vel 4 numbers, but the robot has 3"),
+    (
+        ["observation", "terms", 4, "constant"],
+        [1.0],
+        r"contract.observation.terms\[4\].constant has 1 numbers, not 345",
+    ),
+    (["inputs", 0, "size"], 4, "contract.inputs gives base_ang_vel 4 numbers, but the robot has 3"),
     (["inputs", 0, "name"], "odometry", "contract.inputs holds odometry"),
     (["outputs"], [{"name": "actions", "size": 69}], "contract.outputs lacks joint_pos_target"),
     (["states"], [{"input": "h_in", "output": "h_out", "shape": [1, 1 << 30]}], r"contract.states\[0\].shape"),

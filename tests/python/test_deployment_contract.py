@@ -11,13 +11,13 @@ import onnxruntime
 import pytest
 
 import polypod
-from common import FLAT_POLICY, LEGGED_POLICY
+from common import FLAT_POLICY, MASKED_POLICY
 from polypod.export import export_checkpoint, metadata
 from polypod.observation import Term
 
 ROBOTS = {
     "flat": (FLAT_POLICY, ["unitree_go2"], "velocity_flat_universal"),
-    "legged": (LEGGED_POLICY, ["limx_tron1", "cassie", "box_quadruped", "unitree_go2"], "velocity_flat_legged"),
+    "masked": (MASKED_POLICY, ["limx_tron1", "cassie", "box_quadruped", "unitree_go2"], "velocity_flat_legged"),
 }
 CASES = [(name, robot) for name, (_, robots, _) in ROBOTS.items() for robot in robots]
 MEASURED = {
@@ -173,8 +173,8 @@ def test_limits_and_gains_are_in_the_order_of_the_joints(folders, policy, robot)
 
 
 def test_the_manifest_defines_the_targets_too(folders):
-    session, _ = session_of(folders / "legged", "cassie")
-    manifest = json.loads((folders / "legged" / "policy_cassie.json").read_text())
+    session, _ = session_of(folders / "masked", "cassie")
+    manifest = json.loads((folders / "masked" / "policy_cassie.json").read_text())
     info = manifest["robot_info"]["cassie"]
     feeds = {i.name: np.full((1, i.shape[1]), 0.3, dtype=np.float32) for i in session.get_inputs()}
     targets, actions = (values[0] for values in session.run(["joint_pos_target", "actions"], feeds))

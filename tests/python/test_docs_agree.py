@@ -107,7 +107,7 @@ def judged() -> list[dict[str, dict[str, str]]]:
 
 def walking() -> tuple[int, int]:
     """How many robots walk under `legged`, and how many turn as fast as it takes."""
-    (legged,) = (found for found in judged() if len(found) == robots_of("velocity_flat_legged"))
+    (legged,) = (found for found in judged() if len(found) == len(_core.robots()))
     turn = sum(int(row["turn"].rstrip("%")) >= 60 for row in legged.values())
     return sum(row["walks"] == "yes" for row in legged.values()), turn
 
@@ -117,7 +117,7 @@ def policies(pages: Pages) -> list[str]:
     walk, turn = walking()
     problems = every(pages, rf"\bwith {NUMBER} bodies\b", walk)
     for page, text in pages.items():
-        for match in re.finditer(rf"\b{NUMBER} of (?:the |its )?24\b", flat(text)):
+        for match in re.finditer(rf"\b{NUMBER} of (?:the |its )?{len(_core.robots())}\b", flat(text)):
             if number_of(match[1]) not in (walk, turn):
                 problems.append(f"{page}: {match[0]!r}, and the tables say {walk} and {turn}")
     quadrupeds = [found for found in judged() if len(found) == robots_of("velocity_flat_universal")]

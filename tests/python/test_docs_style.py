@@ -58,7 +58,7 @@ def test_the_docs_are_light():
 def test_bundled_policies_hold_weights_only(checkpoint):
     """No optimiser and no simulator: what `eval`, `play`, `export`, `sim2sim` and `--init` read."""
     state = torch.load(checkpoint, weights_only=True)
-    assert state.keys() == {"actor_state_dict", "critic_state_dict", "iter", "infos"}
+    assert state.keys() - {"critic_state_dict"} == {"actor_state_dict", "iter", "infos"}
     assert not state["infos"]
-    weights = [*state["actor_state_dict"].values(), *state["critic_state_dict"].values()]
+    weights = [*state["actor_state_dict"].values(), *state.get("critic_state_dict", {}).values()]
     assert checkpoint.stat().st_size <= 1.1 * sum(tensor.nbytes for tensor in weights) + 20_000

@@ -10,6 +10,7 @@ from common import ROBOTS
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
 from polypod.training import session
+from polypod.training.adam import give_moments
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NETWORKS
 from polypod.training.report import Reporter
@@ -131,7 +132,7 @@ def test_updates_are_equal(variant, device, tmp_path, monkeypatch):
             # a surrogate loss is a sum of terms that cancel
             assert abs(found[name] - expected[name]) <= TOLERANCE * (abs(expected[name]) + (name == "surrogate")), name
         assert graphs.alg.learning_rate == pytest.approx(reference.alg.learning_rate, rel=1e-5)
-        graphs._update_of.give_moments(graphs.alg.optimizer)
+        give_moments(graphs._update_of.optimizer, graphs.alg.optimizer)
         for network in NETWORKS:
             mine, theirs = (getattr(of.alg, network) for of in (graphs, reference))
             for (name, parameter), other in zip(mine.named_parameters(), theirs.parameters(), strict=True):

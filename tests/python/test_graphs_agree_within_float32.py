@@ -10,7 +10,7 @@ import torch
 
 import polypod
 import polypod.policy as policies
-from common import FLAT_POLICY, LEGGED_POLICY, ROUGH_POLICY
+from common import FLAT_POLICY, MASKED_POLICY, ROUGH_POLICY
 from polypod.export import OnnxPolicy, checkpoint, export_checkpoint, onnx_graph
 from polypod.networks.agreement import TOLERANCE
 from polypod.policy import load
@@ -18,8 +18,8 @@ from polypod.policy import load
 SPOT = "Velocity-Flat-Spot-v0"
 
 
-@pytest.mark.parametrize("file", [FLAT_POLICY, ROUGH_POLICY, LEGGED_POLICY], ids=["flat", "rough", "legged"])
-def test_bundled_policies_are_exported_and_act_the_same(file, tmp_path):
+@pytest.mark.parametrize("file", [FLAT_POLICY, ROUGH_POLICY, MASKED_POLICY], ids=["flat", "rough", "masked"])
+def test_perceptrons_are_exported_and_act_the_same(file, tmp_path):
     done = export_checkpoint(file, tmp_path, formats=("onnx",))
     assert done.difference <= TOLERANCE
     policy = load(file)
@@ -50,8 +50,8 @@ def one_weight(array):
     ids=["one weight", "rows", "columns", "scale"],
 )
 def test_a_wrong_graph_is_refused(change):
-    network = load(LEGGED_POLICY).network
-    sizes = load(LEGGED_POLICY).manifest["policy"]
+    network = load(MASKED_POLICY).network
+    sizes = load(MASKED_POLICY).manifest["policy"]
     model = onnx_graph.network_model(network, sizes["num_obs"], sizes["num_actions"], {})
     module = network.as_jit()
     sound, wrong = model.SerializeToString(), changed(model, change)

@@ -5,7 +5,7 @@ import pytest
 
 from polypod import _core
 from polypod.cli import main
-from polypod.motions import key_poses, library, motion, retarget, turns
+from polypod.motions import balance, key_poses, library, motion, retarget, turns
 from polypod.motions.body import body_of
 from polypod.motions.motion import Motion, velocities
 
@@ -199,3 +199,44 @@ def test_a_drawing_of_ones_own_is_checked(tmp_path):
     path.write_text('title = "mine"\nduration = 1.0\n[[pose]]\ntime = 0.5\nbase = { up = 0.9 }\n')
     with pytest.raises(_core.ConfigError, match=r"the foot . of unitree_g1 misses its place by"):
         key_poses.draw(str(path), body_of("unitree_g1"))
+
+
+@pytest.mark.parametrize("robot", ["unitree_g1", "unitree_h1", "booster_t1"])
+@pytest.mark.parametrize("name", ["walk", "turn"])
+def test_steps_press_on_the_foot_that_stands(name, robot):
+    """The ground's force acts within 6 mm of where it must, by the whole body's dynamics."""
+    body = body_of(robot)
+    motion = key_poses.draw(name, body)
+    steps = key_poses.read(name).step
+    times = np.arange(motion.frames) / motion.fps
+    feet, yaw = key_poses._feet(steps, body, times)
+    spans = [[(step.start, step.start + step.duration) for step in steps if step.foot == foot] for foot in "LR"]
+    loads = balance.loads(spans, times)
+    points = balance.zero_moment_points(body, motion)
+    assert np.abs(points - balance.wanted(body, feet, yaw, loads))[1:-1].max() < 0.006
+    # single support: within 3.5 cm of the line ahead of the foot that stands
+    for side in range(2):
+        alone = loads[:, side] > 1.0 - 1e-9
+        assert alone.mean() > 0.2
+        away = points[alone] - feet[alone, side, :2]
+        left = np.stack([-np.sin(yaw[alone, side]), np.cos(yaw[alone, side])], axis=-1)
+        assert np.abs((away * left).sum(axis=1)).max() < 0.035
+
+
+def test_a_pendulum_sways_as_its_zero_moment_point_asks():
+    times = np.arange(301) / 50.0
+    error = 0.05 * np.sin(2.0 * np.pi * times / 6.0)[:, np.newaxis] * np.array([1.0, -2.0])
+    moved = balance.sway(error, 0.7, 50.0, 9.81)
+    # c = error / (1 + h / g w^2) solves c - h / g c'' = error
+    np.testing.assert_allclose(moved, error / (1.0 + 0.7 / 9.81 * (2.0 * np.pi / 6.0) ** 2), atol=1e-4)
+    assert not moved[[0, -1]].any()
+
+
+def test_the_weight_moves_before_the_first_step_and_after_the_last_one():
+    times = np.arange(0.0, 4.01, 0.1)
+    load = balance.loads([[(1.0, 1.5)], [(1.8, 2.3)]], times)
+    np.testing.assert_allclose(load.sum(axis=1), 1.0)
+    at = {time: load[round(time * 10), 0] for time in (0.0, 0.5, 0.8, 1.0, 1.4, 1.6, 1.8, 2.3, 2.5, 2.8, 4.0)}
+    wanted = {0.0: 0.5, 0.5: 0.5, 0.8: 0.2, 1.0: 0.0, 1.4: 0.0, 1.6: 1 / 3, 1.8: 1.0, 2.3: 1.0, 2.5: 0.8, 2.8: 0.5}
+    for time, share in wanted.items():
+        assert at[time] == pytest.approx(share, abs=1e-6), time

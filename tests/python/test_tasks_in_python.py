@@ -290,9 +290,15 @@ def test_the_example_trains_resumes_is_evaluated_played_and_exported(learner, cl
     contract = next((tmp_path / "exported").rglob("*.json")).read_text()
     assert "jump_height" in contract
     assert "clock" in contract
-    done = cli("sim2sim", "--checkpoint", str(whole), "--robots", "spot", "--steps", "5")
+    line = ("sim2sim", "--checkpoint", str(whole), "--robots", "spot,unitree_go2", "--steps", "5", "--num-envs", "2")
+    done = cli(*line)
     assert done.returncode == 2
-    assert "clock" in done.stderr
+    assert "observes jump_height, clock, which jump_task.py computes; name that file with --terms" in done.stderr
+    done = cli(*line, "--terms", str(EXAMPLE), "--json", "sim2sim.json")
+    assert done.returncode == 3, done.stderr
+    found = json.loads((tmp_path / "sim2sim.json").read_text())
+    assert "--terms" in found["command"]
+    assert [robot["mujoco"]["episode_length_s"] for robot in found["robots"].values()] == pytest.approx([0.1, 0.1])
 
 
 def test_the_example_resets_to_the_states_that_it_gives():

@@ -15,7 +15,7 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.training import session
-from polypod.training.runner import Runner
+from polypod.training.taught_runner import TaughtRunner
 from polypod.training.teachers import Teachers
 
 SENSED = ("base_ang_vel", "projected_gravity", "velocity_commands", "joint_pos_rel", "joint_vel_rel", "last_action")
@@ -127,8 +127,8 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
         shares.append(self.alg.teacher_share)
         return loss
 
-    original = Runner._update
-    monkeypatch.setattr(Runner, "_update", recorded)
+    original = TaughtRunner._update
+    monkeypatch.setattr(TaughtRunner, "_update", recorded)
     named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
     options = session.Options(
         **OPTIONS,
@@ -181,7 +181,7 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
     rates, sums = [], []
 
     def recorded(self, observations):
-        rates.extend(group["lr"] for group in self.alg.optimizer.param_groups)
+        rates.extend(float(group["lr"]) for group in self._optimizer().param_groups)
         first, stop = self.env.unwrapped.sim.env_ids("unitree_go2")
         total = self.alg._weights.sum()
         sums.append(float(self.alg._weights[first:stop].sum() / total))
@@ -193,8 +193,8 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
         assert loss["behavior"] == pytest.approx(mean, rel=1e-4)
         return loss
 
-    original = Runner._update
-    monkeypatch.setattr(Runner, "_update", recorded)
+    original = TaughtRunner._update
+    monkeypatch.setattr(TaughtRunner, "_update", recorded)
     named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
     options = session.Options(
         **OPTIONS,
@@ -217,6 +217,90 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
     assert session.train(options) == 0
     assert rates == pytest.approx([0.003, 0.002, 0.001])
     assert sums == pytest.approx([share] * 3)
+
+
+def of_three(specialist, folder, iterations, *changes):
+    """Options of a short distillation."""
+    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
+    small = ("run.num_steps_per_env=6", "run.symmetry=false", "actor.joint_dim=16", "actor.hidden_dims=[32]")
+    return session.Options(
+        **OPTIONS,
+        log_dir=folder,
+        task=TASK,
+        robots=ROBOTS,
+        num_envs=6,
+        max_iterations=iterations,
+        train_config="any_legged",
+        overrides=[
+            *GROUPS,
+            *SHORT,
+            *(f"train.{change}" for change in (*small, *changes)),
+            f"train.distillation={{teachers={{{named}}}, gradient_length=1, teacher_share=0.5}}",
+        ],
+    )
+
+
+def test_a_distillation_goes_on_as_if_it_had_not_stopped(specialist, tmp_path):
+    """Weights, moments of Adam and curves are the same bits."""
+    assert session.train(of_three(specialist, tmp_path / "whole", 3)) == 0
+    assert session.train(of_three(specialist, tmp_path / "half", 2)) == 0
+    half = run_dir.find_checkpoint(tmp_path / "half", "latest")
+    assert session.train(session.Options(resume=str(half), max_iterations=1, device="cpu", logger="none")) == 0
+    whole, again = (
+        run_dir.load_checkpoint(run_dir.find_checkpoint(tmp_path / name, "latest")) for name in ("whole", "half")
+    )
+    assert whole["iter"] == again["iter"] == 3
+    for name, tensor in whole["actor_state_dict"].items():
+        assert torch.equal(tensor, again["actor_state_dict"][name]), name
+    states = [state["optimizer_state_dict"]["state"] for state in (whole, again)]
+    assert states[0].keys() == states[1].keys() != set()
+    for key, moments in states[0].items():
+        for name, tensor in moments.items():
+            assert torch.equal(tensor, states[1][key][name]), (key, name)
+    # a deviation is not learned, all else is
+    assert sum(bool(moments["exp_avg_sq"].any()) for moments in states[0].values()) == len(states[0]) - 2
+
+
+def test_each_step_of_adam_learns_from_one_control_step_in_turn(specialist, tmp_path, monkeypatch):
+    """A loop in plain torch over the stored samples moves the weights as the training does."""
+    found = {}
+
+    def collected(self, observations):
+        found["before"] = {name: value.clone() for name, value in self.alg.student.state_dict().items()}
+        observations = original(self, observations)
+        storage = self.alg.storage
+        found["samples"] = (storage.observations["policy"].clone(), storage.privileged_actions.clone())
+        return observations
+
+    def updated(self, observations):
+        figures = update(self, observations)
+        student = self.alg.student
+        found["after"] = {name: value.detach().clone() for name, value in student.named_parameters()}
+        student.load_state_dict(found["before"])
+        adam = torch.optim.Adam(student.parameters(), lr=1e-3)
+        mask = torch.from_numpy(self.env.unwrapped.sim.action_mask).float()
+        weights = mask / mask.sum(dim=1, keepdim=True) / len(mask)
+        for step in list(range(6)) * 2:
+            seen, labels = (of[step] for of in found["samples"])
+            adam.zero_grad()
+            loss = ((student.mlp(seen)[:, 0] - labels).square() * weights).sum()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(student.parameters(), 1.0)
+            adam.step()
+        for name, value in student.named_parameters():
+            if name == "mlp.attention.bias":
+                continue  # a softmax is the same for any: its gradient is rounding, of which Adam makes whole steps
+            torch.testing.assert_close(value.detach(), found["after"][name], rtol=1e-4, atol=1e-5, msg=name)
+            found[name] = float((value.detach() - found["before"][name]).abs().max())
+        return figures
+
+    original, update = TaughtRunner._collect, TaughtRunner._update
+    monkeypatch.setattr(TaughtRunner, "_collect", collected)
+    monkeypatch.setattr(TaughtRunner, "_update", updated)
+    epochs = ("algorithm.num_learning_epochs=2", "algorithm.mixed_precision='off'", "actor.obs_normalization=false")
+    assert session.train(of_three(specialist, tmp_path, 1, *epochs)) == 0
+    moved = [found[name] for name in found["after"] if not name.startswith(("mlp.deviation", "mlp.attention.bias"))]
+    assert min(moved) > 1e-4
 
 
 @pytest.mark.parametrize(

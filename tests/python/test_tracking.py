@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import polypod
-from polypod import _core
+from polypod import _core, rotations
 from polypod.cli import main
 from polypod.motions import sampling
 from polypod.motions.options import SamplingOptions, options
@@ -98,6 +98,24 @@ def test_terms_are_the_bells_of_their_errors_and_deviations_end_episodes():
     assert list(np.flatnonzero(sim.terms.terminations["bad_anchor_pos_z_only"].function(view))) == [0]
     # hanging in the air moves all links up with the base
     assert list(np.flatnonzero(sim.terms.terminations["bad_motion_body_pos_z_only"].function(view))) == [0]
+
+
+def test_robots_that_stay_behind_or_do_not_turn_fail():
+    sim = make(*EXACT)
+    view = sim.view
+    turned = view.base_quat.astype(np.float64)
+    turned[1] = rotations.product([np.cos(0.4), 0.0, 0.0, np.sin(0.4)], turned[1])
+    moved = view.base_pos.copy()
+    moved[0, :2] += [0.4, 0.4]
+    sim.set_state(base_pos=moved, base_quat=turned)
+    view.refresh()
+    sim.terms.observations["motion_command"].hooks["update"](view)
+    view.memory["motion_frame"][:] -= 1
+    ends = {name: list(np.flatnonzero(term.function(view))) for name, term in sim.terms.terminations.items()}
+    assert ends["bad_anchor_pos"] == [0]
+    assert ends["bad_anchor_heading"] == [1]
+    without = make(*EXACT, "motions.terminations.bad_anchor_pos.threshold=null").terms.terminations
+    assert set(ends) - set(without) == {"bad_anchor_pos"}
 
 
 def test_the_command_is_the_reference_ahead_by_joint_and_masks_hold():

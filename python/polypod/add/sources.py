@@ -94,6 +94,10 @@ def opened(source: str, inner: str | None = None) -> Iterator[Source]:
         if inner is not None:
             raise _core.ConfigError(f"--file {inner}: {path} is a file already; name a folder or a zip file")
         kind = _kind(path)
+        if kind is None and _is_usd(path):
+            raise _core.ConfigError(
+                f"{path}: this is a USD file; export the robot as URDF or MJCF: Isaac Sim and USD tools can write them"
+            )
         if kind is None:
             raise _core.ConfigError(
                 f"{path}: it is neither a URDF nor a xacro, MJCF or zip file: its root element is not <robot> or "
@@ -119,6 +123,13 @@ def _check_is_there(path: Path) -> None:
         f"{path}: there is no such file; name a URDF, xacro, MJCF or zip file, a folder, robot_descriptions:NAME or "
         "mujoco_menagerie:NAME"
     )
+
+
+def _is_usd(path: Path) -> bool:
+    """Whether a file is a scene of USD, by its first bytes or the ending of its name."""
+    with path.open("rb") as file:
+        head = file.read(8)
+    return head.startswith((b"#usda", b"PXR-USDC")) or path.suffix.lower() in (".usd", ".usda", ".usdc", ".usdz")
 
 
 def _kind(path: Path) -> Kind | None:

@@ -69,6 +69,9 @@ class Sim2sim:
     video: Annotated[Path | None, arg(metavar="FILE")] = None
     """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the
     extra play."""
+    terms: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The Python file of terms that the run was begun with, which is run; see
+    docs/write-a-term.md. Its commands, observations and terminations see MuJoCo's state."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 
@@ -92,6 +95,7 @@ class Sim2sim:
             ("steps", "choose --phase-s and --rounds"),
             ("command", "choose --phases, such as forward=0.5"),
             ("soft_contact", "choose --contact"),
+            ("terms", "leave out --model: terms see polypod's own model of the robot"),
         ):
             if getattr(self, key) != usual[key]:
                 raise _core.ConfigError(f"--{key.replace('_', '-')} does not go with --model; {instead}")
@@ -120,6 +124,7 @@ class Sim2sim:
             friction=self.friction,
             soft_contact=self.soft_contact,
             overrides=self.set,
+            terms=self.terms,
         )
         with Progress(14) as bars:
 

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from polypod.arrays import Array
 from polypod.descriptions import Distance
+from polypod.evaluation.rising import Rising
 from polypod.evaluation.walking import Walking
 from polypod.provenance import Measured
 
@@ -84,6 +85,8 @@ class RobotResult:
     walking: Walking | None = None
     """Figures of the definition of walking; None where the commands were not those of its
     schedule."""
+    rising: Rising | None = None
+    """How well the robot gets up; None where the task does not reward it."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of successful episodes on tiles of a type and level, or of all; NaN without any."""
@@ -155,7 +158,9 @@ def _robot_from(content: Mapping[str, Any]) -> RobotResult:
     terrain = {kind: [TileResult(**tile) for tile in tiles] for kind, tiles in content["terrain"].items()}
     commands = [CommandResult(**{**entry, "command": tuple(entry["command"])}) for entry in content["commands"]]
     walking = Walking.from_dict(content["walking"]) if content.get("walking") is not None else None
-    return RobotResult(**{**content, **numbers, "terrain": terrain, "commands": commands, "walking": walking})
+    rising = Rising.from_dict(content["rising"]) if content.get("rising") is not None else None
+    nested = {"terrain": terrain, "commands": commands, "walking": walking, "rising": rising}
+    return RobotResult(**{**content, **numbers, **nested})
 
 
 def finite(content: Any) -> Any:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.arrays import Array
 from polypod.compat import tomllib
-from polypod.evaluation import measures, walking
+from polypod.evaluation import measures, rising, walking
 from polypod.evaluation.results import Evaluation, robot_result
 from polypod.motions.names import split
 from polypod.networks.policies import Policy, reset
@@ -125,7 +125,8 @@ def evaluate(
         autoreset="disabled",
         slots=list(slots),
     )
-    if "base_velocity" not in tomllib.loads(sim.resolved_config())["task"]["commands"]:
+    configs = tomllib.loads(sim.resolved_config())
+    if "base_velocity" not in configs["task"]["commands"]:
         if grid is not None:
             raise _core.ConfigError(f"{sim.task_name}: grid: the task gives no velocity command (`base_velocity`)")
         # nothing to schedule: the task draws what it asks for
@@ -139,7 +140,8 @@ def evaluate(
             "choose smaller --episodes or --steps"
         )
     on_grid = _commands(sim, grid) if grid is not None else None
-    runs, records = [], []
+    runs, records, rises = [], [], []
+    wanted = rising.goals(sim, configs)
     for episode in range(episodes):
         sim.reset(seed + episode)
         record, first = None, None
@@ -155,7 +157,10 @@ def evaluate(
             sim.set_command(first)
             sim.reset()
         levels, kinds = sim.terrain_tiles()
-        sums = {**_episode(sim, policy, length, record), "level": levels.astype(np.float64)}
+        rise = rising.Record(sim, wanted) if wanted else None
+        sums = {**_episode(sim, policy, length, record, rise), "level": levels.astype(np.float64)}
+        if rise is not None:
+            rises.append(rise.episodes())
         runs.append(sums if on_grid is None or first is None else {**sums, "command": first.astype(np.float64)})
     disturbances = _core.disturbances(name, of_task)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
@@ -167,7 +172,12 @@ def evaluate(
         of_robot = {key: value[:, envs] for key, value in figures.items()}
         found = robot_result(of_robot, length, sim.step_dt, masses[robot] * gravity, kinds[envs])
         asked = walking.kinds_of(sim.command_ranges()[robot])
-        results[robot] = dataclasses.replace(found, walking=walking.figures(records, envs, asked) if records else None)
+        risen = {key: np.concatenate([each[key][envs] for each in rises]) for key in ("up", "held") if rises}
+        results[robot] = dataclasses.replace(
+            found,
+            walking=walking.figures(records, envs, asked) if records else None,
+            rising=rising.rising(**risen) if robot in wanted else None,
+        )
     return Evaluation(
         task=sim.task_name,
         num_envs=sim.num_envs,
@@ -184,10 +194,12 @@ def evaluate(
     )
 
 
-def _episode(sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None) -> dict[str, Array]:
+def _episode(
+    sim: _core.VecSim, policy: Policy, length: int, record: walking.Record | None, rise: rising.Record | None
+) -> dict[str, Array]:
     """Sums of `measures.of_step` over each env's first episode.
 
-    `record` says and sees the commands.
+    `record` says and sees the commands, `rise` sees who is up.
     """
     sums: dict[str, Array] = {}
     running = np.ones(sim.num_envs, dtype=np.bool_)
@@ -200,6 +212,8 @@ def _episode(sim: _core.VecSim, policy: Policy, length: int, record: walking.Rec
             sums[key] = sums.get(key, 0.0) + np.where(running, value, 0.0)
         if record is not None:
             record.add(sim.state("base_lin_vel")[:, :2], sim.state("base_ang_vel")[:, 2], sim.terminated)
+        if rise is not None:
+            rise.add(running & ~sim.terminated)
         done = sim.terminated | sim.truncated
         running &= ~done
         if not running.any():

@@ -64,6 +64,8 @@ class Body:
     """Last links of the arms."""
     key_links: tuple[str, ...]
     """Base, torso, hips, knees, feet, shoulders, elbows and hands."""
+    rest_point: Array
+    """[2], centre of mass of the default pose, the base above the world's origin, m."""
 
     def slot(self, name: str) -> int | None:
         """Index into the slots; None where the body lacks the role."""
@@ -124,6 +126,16 @@ class Body:
         sim.set_state(qpos=qpos)
         gap: Array = sim.ground_gap()[:, [self.links.index(self.foot(side)) for side in range(2)]]
         return gap
+
+    def effort(self, qpos: Array, qvel: Array, qacc: Array) -> Array:
+        """[frames, 6 + joints], forces and moments that a motion takes without a ground.
+
+        The first three are a force at the base's origin, world axes, N; then a moment, base axes,
+        N m.
+        """
+        sim = _simulation(self.source, len(qpos))
+        sim.set_state(qpos=qpos, qvel=qvel)
+        return sim.inverse_dynamics(qacc)
 
     def with_feet(self, qpos: Array, position: Array, orientation: Array) -> tuple[Array, Array]:
         """Moves the legs so that the feet have these poses: damped least squares within the limits.
@@ -221,13 +233,16 @@ def _body_of(robot: str) -> Body:
         soles=soles,
         hands=tuple(_last(slots, of_slot, links, side, ARM) for side in SIDES if f"{side}_ELBOW" in slots),
         key_links=key,
+        rest_point=np.zeros(2),
     )
     flat, _ = body.with_feet(rest[np.newaxis], pos[:1, feet], soles[np.newaxis])
     height = -float(body.feet_gap(flat).min())
     up = np.array([0.0, 0.0, height])
     leg = float(pos[0, hips, 2].mean()) + height
     values = {**vars(body), "height": height, "leg": leg, "feet": pos[0, feet] + up, "default": flat[0, 7:]}
-    return Body(**values)
+    single = _simulation(robot, 1)
+    single.set_state(qpos=flat)
+    return Body(**{**values, "rest_point": single.center_of_mass()[0, :2].copy()})
 
 
 @functools.lru_cache(maxsize=4)

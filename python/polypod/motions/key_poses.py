@@ -15,7 +15,7 @@ from polypod import _core, rotations
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.files import read_bytes
-from polypod.motions import turns
+from polypod.motions import balance, turns
 from polypod.motions.body import SIDES, Body
 from polypod.motions.motion import Motion
 
@@ -212,14 +212,20 @@ def draw(name: str, body: Body) -> Motion:
     feet[:, :, 2] += air[:, np.newaxis]
     soles = np.stack([_turned(yaw[:, side], body.soles[side]) for side in range(2)], axis=1)
     qpos, missed = body.with_feet(np.concatenate([position, quat, clipped], axis=1), feet, soles)
+    if drawing.step and not drawing.jump:
+        qpos, missed = _balanced(drawing.step, body, times, qpos, (feet, yaw, soles))
     if (worst := float(missed.max())) > MISSED:
         frame, side = np.unravel_index(int(missed.argmax()), missed.shape)
         raise _core.ConfigError(
             f"{name}: at {times[frame]:.2f} s the foot {SIDES[int(side)]} of {body.name} misses its place by "
             f"{worst:.3f} m; draw shorter steps, or a lower base"
         )
+    return _motion(Path(name).stem, body, qpos, lost)
+
+
+def _motion(name: str, body: Body, qpos: Array, lost: Sequence[str] = ()) -> Motion:
     return Motion(
-        name=Path(name).stem,
+        name=name,
         robot=body.source,
         fps=FPS,
         joint_names=body.joints,
@@ -228,6 +234,35 @@ def draw(name: str, body: Body) -> Motion:
         base_quat=qpos[:, 3:7],
         notes=tuple(lost),
     )
+
+
+def _balanced(
+    steps: Sequence[Step], body: Body, times: Array, qpos: Array, feet: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """Sways the base so that the feet can push where the motion needs it.
+
+    Args:
+        steps: of the feet.
+        body: the robot.
+        times: [frames], s.
+        qpos: [frames, 7 + joints], as drawn.
+        feet: their positions, headings and orientations.
+
+    Returns:
+        As `Body.with_feet`.
+    """
+    position, yaw, soles = feet
+    spans = [[(step.start, step.start + step.duration) for step in steps if step.foot == foot] for foot in SIDES]
+    goal = balance.wanted(body, position, yaw, balance.loads(spans, times))
+    missed = np.zeros((len(times), 2))
+    for _ in range(balance.ROUNDS):
+        error = goal - balance.zero_moment_points(body, _motion("", body, qpos))
+        if float(np.abs(error[1:-1]).max()) < balance.CLOSE:
+            break
+        moved = qpos.copy()
+        moved[:, :2] += balance.sway(error, float(qpos[:, 2].mean()), FPS, GRAVITY)
+        qpos, missed = body.with_feet(moved, position, soles)
+    return qpos, missed
 
 
 def clip_notes(body: Body, wanted: Array, clipped: Array) -> list[str]:

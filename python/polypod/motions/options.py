@@ -40,6 +40,8 @@ TERMS = {
         "reward",
         "exp(-e / std^2) of the mean e of the key links' squared errors of angular velocity, rad^2/s^2.",
     ),
+    "bad_anchor_pos": ("termination", "The base is that far from the reference's, m."),
+    "bad_anchor_heading": ("termination", "The base's heading is that far from the reference's, rad; polypod's own."),
     "bad_anchor_pos_z_only": ("termination", "The base is that much higher or lower than the reference's, m."),
     "bad_anchor_ori": ("termination", "The vertical's z component in base axes differs that much."),
     "bad_motion_body_pos_z_only": ("termination", "A foot or hand is that much higher or lower, m."),
@@ -66,7 +68,7 @@ class RewardOptions(msgspec.Struct, forbid_unknown_fields=True):
 class ThresholdOptions(msgspec.Struct, forbid_unknown_fields=True):
     """A termination."""
 
-    threshold: Positive | None
+    threshold: Positive | None = None
     """Deviation beyond which the episode fails; null leaves the termination out."""
 
 

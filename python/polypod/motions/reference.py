@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from polypod.motions.body import Body
 from polypod.motions.motion import Motion, velocities
 
 Ids = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,6 +46,9 @@ class Reference:
     link_quat: Array
     link_lin_vel: Array
     link_ang_vel: Array
+    single: tuple[npt.NDArray[np.float32], ...]
+    """Key links in single precision: ways from the base, orientations, linear and angular
+    velocities."""
 
     @classmethod
     def of(cls, body: Body, motions: Sequence[Motion], step_dt: float) -> "Reference":
@@ -79,6 +84,10 @@ class Reference:
             link_quat=quat[:, keys],
             link_lin_vel=lin[:, keys],
             link_ang_vel=ang[:, keys],
+            single=tuple(
+                np.ascontiguousarray(rows, dtype=np.float32)
+                for rows in (pos[:, keys] - qpos[:, np.newaxis, :3], quat[:, keys], lin[:, keys], ang[:, keys])
+            ),
         )
 
 
@@ -90,18 +99,20 @@ class Errors:
     """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
     """[n], angle."""
+    heading: Array
+    """[n], angle of the base's heading from the reference's, to the left."""
     gravity: Array
     """[n], difference of the vertical direction's z component in base axes."""
-    link_pos: Array
+    link_pos: Floats
     """[n, keys, 3], with the reference moved to the base's place on the ground and heading."""
-    link_ori: Array
+    link_ori: Floats
     """[n, keys], in the same way."""
-    link_lin_vel: Array
+    link_lin_vel: Floats
     """Differences of the key links' velocities, [n, keys, 3], m/s."""
-    link_ang_vel: Array
+    link_ang_vel: Floats
 
 
-def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array, ang: Array) -> Errors:
+def errors(reference: Reference, frame: Ids, pos: Floats, quat: Floats, lin: Floats, ang: Floats) -> Errors:
     """Compares the key links of envs with their frames of the reference.
 
     Args:
@@ -112,28 +123,52 @@ def errors(reference: Reference, frame: Ids, pos: Array, quat: Array, lin: Array
         lin: [n, keys, 3], velocities of the links' origins.
         ang: [n, keys, 3].
     """
-    base, turn = pos[:, 0], quat[:, 0]
+    base, turn = pos[:, 0].astype(np.float64), quat[:, 0].astype(np.float64)
     ref_base, ref_turn = reference.base_pos[frame], reference.base_quat[frame]
-    heading = turns.yaw(rotations.product(turn, rotations.inverse(ref_turn)))[:, np.newaxis]
-    ref_pos, ref_quat = reference.link_pos[frame], reference.link_quat[frame]
-    anchor = base.copy()
-    anchor[:, 2] = ref_base[:, 2]
-    wide = np.broadcast_to(heading, ref_quat.shape)
-    moved = turns.rotated(wide, ref_pos - ref_base[:, np.newaxis]) + anchor[:, np.newaxis]
-    to_base = rotations.inverse(turn)
+    heading = rotations.heading(rotations.product(turn, rotations.inverse(ref_turn)))
+    # links of envs are the larger part of the work, and single precision is enough
+    cos, sin = (of(heading).astype(np.float32)[:, np.newaxis] for of in (np.cos, np.sin))
+    offset, ref_quat, ref_lin, ref_ang = (np.take(rows, frame, axis=0) for rows in reference.single)
+    link_pos = (base[:, np.newaxis] - pos).astype(np.float32)
+    link_pos[..., 2] += (ref_base[:, 2] - base[:, 2]).astype(np.float32)[:, np.newaxis]
+    link_pos[..., 0] += cos * offset[..., 0] - sin * offset[..., 1]
+    link_pos[..., 1] += sin * offset[..., 0] + cos * offset[..., 1]
+    link_pos[..., 2] += offset[..., 2]
+    half_cos, half_sin = (of(0.5 * heading).astype(np.float32)[:, np.newaxis] for of in (np.cos, np.sin))
+    w, x, y, z = np.moveaxis(ref_quat, -1, 0)
+    turned = (
+        half_cos * w - half_sin * z,
+        half_cos * x - half_sin * y,
+        half_cos * y + half_sin * x,
+        half_cos * z + half_sin * w,
+    )
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), base.shape)
+    ref_down, own_down = (turns.rotated(rotations.inverse(q), down)[:, 2] for q in (ref_turn, turn))
     return Errors(
         anchor_pos=ref_base - base,
         anchor_ori=turns.angle(ref_turn, turn),
-        gravity=np.abs(turns.rotated(rotations.inverse(ref_turn), down)[:, 2] - turns.rotated(to_base, down)[:, 2]),
-        link_pos=moved - pos,
-        link_ori=turns.angle(rotations.product(wide, ref_quat), quat),
-        link_lin_vel=reference.link_lin_vel[frame] - lin,
-        link_ang_vel=reference.link_ang_vel[frame] - ang,
+        heading=heading,
+        gravity=np.abs(ref_down - own_down),
+        link_pos=link_pos,
+        link_ori=_angle(turned, quat.astype(np.float32, copy=False)),
+        link_lin_vel=ref_lin - lin.astype(np.float32, copy=False),
+        link_ang_vel=ref_ang - ang.astype(np.float32, copy=False),
     )
+
+
+def _angle(left: tuple[Floats, ...], right: Floats) -> Floats:
+    """Angles between orientations [...], rad; exact for small ones in single precision too."""
+    dot = sum(part * right[..., i] for i, part in enumerate(left))
+    sign = np.copysign(np.float32(1.0), dot)
+    square: Floats = np.zeros_like(sign)
+    for i, part in enumerate(left):
+        difference = part * sign - right[..., i]
+        square += difference * difference
+    angle: Floats = 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(square), np.float32(1.0)))
+    return angle
 
 
 def errors_in(sim: _core.VecSim, robot: str, reference: Reference, frame: Ids) -> Errors:
     """`errors` of a robot's envs in a simulator."""
     links = sim.links(robot, reference.body.key_links)
-    return errors(reference, frame, *(links[key].astype(np.float64) for key in ("pos", "quat", "lin_vel", "ang_vel")))
+    return errors(reference, frame, *(links[key] for key in ("pos", "quat", "lin_vel", "ang_vel")))

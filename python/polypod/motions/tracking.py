@@ -93,7 +93,7 @@ class Tracker:
         self.robots: list[str] = env.robots
         self.references: list[Reference] = []
         self.columns: list[Ids] = []
-        self.ahead: list[Array] = []
+        self.ahead: list[npt.NDArray[np.float32]] = []
         """Joints of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
         self.com: list[Array] = []
         shapes = json.loads(env.sim.robot_shapes())
@@ -107,6 +107,9 @@ class Tracker:
         self.rows = [env.env_ids(robot) for robot in self.robots]
         self.bins = _bins(found, len(self.robots))
         self._errors: list[Errors] | None = None
+        self._command = np.zeros((env.num_envs, 2 * len(found.look_ahead), env.sim.num_actions), dtype=np.float32)
+        self._command_of = np.full(env.num_envs, -1, dtype=np.int64), np.zeros_like(self._command[:, 0])
+        """Frames and default poses that it was computed for."""
 
     def clear(self) -> None:
         """Compares again, after a step or a reset."""
@@ -150,18 +153,29 @@ class Tracker:
         self.bins.decay(env.memory)
         self.clear()
 
-    def command(self, env: Any) -> Array:
-        """[num_envs, 2 look-ahead * joints], positions less the default pose, then velocities."""
-        count = env.sim.num_actions
-        whole = np.zeros((env.num_envs, 2 * len(self.options.look_ahead), count))
-        default = env.default_joint_pos.astype(np.float64)
-        for robot, ahead, columns, rows in zip(self.robots, self.ahead, self.columns, self.rows, strict=True):
-            mine = whole[slice(*env.sim.env_ids(robot))]
-            np.take(ahead, env.memory["motion_frame"][rows, 0], axis=0, out=mine)
-            present = np.zeros(count)
+    def command(self, env: Any) -> npt.NDArray[np.float32]:
+        """[num_envs, 2 look-ahead * joints], positions less the default pose, then velocities.
+
+        Only envs whose frame has changed are computed: after a reset they are few.
+        """
+        frame, default = env.memory["motion_frame"][:, 0], env.default_joint_pos
+        frame_before, default_before = self._command_of
+        due = (frame != frame_before) | (default != default_before).any(axis=1)
+        for ahead, columns, rows in zip(self.ahead, self.columns, self.rows, strict=True):
+            mine = rows[due[rows]]
+            if not mine.size:
+                continue
+            is_whole = mine.size == rows.size
+            values = self._command[mine[0] : mine[-1] + 1] if is_whole else np.empty_like(self._command[: mine.size])
+            # without clip NumPy buffers the output; frames are within the reference anyway
+            np.take(ahead, frame[mine], axis=0, out=values, mode="clip")
+            present = np.zeros(env.sim.num_actions, dtype=np.float32)
             present[columns] = 1.0
-            mine[:, ::2] -= (default[rows] * present)[:, np.newaxis]
-        return whole.reshape(env.num_envs, -1)
+            values[:, ::2] -= (default[mine] * present)[:, np.newaxis]
+            if not is_whole:
+                self._command[mine] = values
+        frame_before[:], default_before[:] = frame, default
+        return self._command.reshape(env.num_envs, -1)
 
     def phase(self, env: Any) -> Array:
         """[num_envs, 2], share of the clip that is over, and seconds that remain, at most 10."""
@@ -260,9 +274,9 @@ class Tracker:
         )
 
 
-def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> Array:
+def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> npt.NDArray[np.float32]:
     """[frames, 2 look-ahead, actions], joints some steps after each frame; a clip ends at rest."""
-    whole = np.zeros((len(reference.joint_pos), 2 * len(look_ahead), actions))
+    whole = np.zeros((len(reference.joint_pos), 2 * len(look_ahead), actions), dtype=np.float32)
     frame = np.arange(len(whole))
     last = np.repeat(reference.last, reference.last - reference.first + 1)
     for i, steps in enumerate(look_ahead):
@@ -329,7 +343,7 @@ def _events(tracker: Find) -> list[Any]:
 
 def _observations(tracker: Find, found: Options) -> list[Any]:
     @terms.observation(size=2 * len(found.look_ahead), mirror="per_joint", name=COMMAND)
-    def command(env: Any) -> Array:
+    def command(env: Any) -> npt.NDArray[np.float32]:
         return tracker(env).command(env)
 
     @command.update
@@ -357,9 +371,10 @@ def axes(quaternion: Array) -> Array:
     return np.concatenate([matrix[..., 0], matrix[..., 2]], axis=-1)
 
 
-def _square(error: Array) -> Array:
+def _square(error: npt.NDArray[Any]) -> Array:
     """Sum of squares over the last axis."""
-    total: Array = np.square(error).sum(axis=-1)
+    # sums over so short an axis are slow
+    total: Array = np.einsum("...i,...i->...", error, error)
     return total
 
 
@@ -390,6 +405,8 @@ def _rewards(tracker: Find, found: Options) -> list[Any]:
 
 
 DEVIATIONS: dict[str, Callable[[Errors, Reference], Array]] = {
+    "bad_anchor_pos": lambda e, _: np.linalg.norm(e.anchor_pos, axis=1),
+    "bad_anchor_heading": lambda e, _: np.abs(e.heading),
     "bad_anchor_pos_z_only": lambda e, _: np.abs(e.anchor_pos[:, 2]),
     "bad_anchor_ori": lambda e, _: e.gravity,
     "bad_motion_body_pos_z_only": lambda e, ref: np.abs(e.link_pos[:, ref.ends, 2]).max(axis=1),
@@ -420,7 +437,7 @@ def _curves(tracker: Find) -> list[Any]:
 
     @terms.metric()
     def error_body_pos(env: Any) -> Array:
-        return tracker(env).per_env(env, lambda e, _: np.linalg.norm(e.link_pos, axis=-1).mean(axis=-1))
+        return tracker(env).per_env(env, lambda e, _: np.sqrt(_square(e.link_pos)).mean(axis=-1))
 
     @terms.curriculum()
     def motion_sampling(env: Any, ids: Ids) -> dict[str, float]:

@@ -22,9 +22,13 @@ def continuous(quaternion: Array) -> Array:
 
 def rotated(quaternion: Array, vector: Array) -> Array:
     """[..., 3], the turned vectors."""
-    w, axis = quaternion[..., :1], quaternion[..., 1:]
-    twice = 2.0 * np.cross(axis, vector)
-    turned: Array = vector + w * twice + np.cross(axis, twice)
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    a, b, c = (vector[..., i] for i in range(3))
+    # twice the cross product; np.cross takes three times as long
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    turned: Array = np.stack(
+        [a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)], axis=-1
+    )
     return turned
 
 

@@ -65,11 +65,13 @@ class Checks:
         self, what: str, value: Any, shape: tuple[int, int], valid: npt.NDArray[np.bool_]
     ) -> npt.NDArray[np.float32]:
         """Finite float32 numbers of this shape; one number per row may have one dimension."""
-        array = self.numbers(what, value)
+        array = self.array(what, value)
+        if array.dtype != np.float32:
+            array = self.numbers(what, array)
         if array.ndim == 1 and shape[1] == 1:
             array = array[:, np.newaxis]
         self.shape(what, array.shape, shape)
         if not (np.abs(array) <= LARGEST).all():
             array = np.where(valid[:, np.newaxis], array, 0.0)
-            self.finite(what, array)
+            self.finite(what, array.astype(np.float64))
         return array.astype(np.float32)

@@ -156,25 +156,11 @@ class TermSim(_core.VecSim):
     def step(self, actions: FloatArray) -> None:
         """Advances every env by one control step."""
         started = time.perf_counter()
-        env, n = self._env, self.num_envs
-        env.refresh()
-        for command in self.terms.commands.values():
-            due = self._due(command.name)
-            if due.size:
-                self._sample(command, due)
-            self._hook(command, "update", env)
-        for event in self._events:
-            if event.mode == "interval":
-                due = self._due(event.name)
-                if due.size:
-                    self._wait(event.name, event.interval_range_s, due)
-                    self._happen(event, due)
+        n = self.num_envs
+        self.before_physics()
         super().step(actions)
         self._final = {}
-        env.refresh()
-        for observation in self.terms.observations.values():
-            self._hook(observation, "update", env)
-        ends, causes = self._ended()
+        ends, causes = self.after_physics()
         self._reward = self._add_rewards(super().reward)
         if ends[False].any():
             super().terminate(ends[False])
@@ -191,6 +177,40 @@ class TermSim(_core.VecSim):
                 self._final = {group: self.observation_of(group) for group in self.observation_groups}
                 self._begin(done, ended=np.flatnonzero(done))
         self.seconds["step"] = self.seconds.get("step", 0.0) + time.perf_counter() - started
+
+    def before_physics(self) -> None:
+        """First part of a control step: commands and interval events."""
+        self._env.refresh()
+        for command in self.terms.commands.values():
+            due = self._due(command.name)
+            if due.size:
+                self._sample(command, due)
+            self._hook(command, "update", self._env)
+        for event in self._events:
+            if event.mode == "interval":
+                due = self._due(event.name)
+                if due.size:
+                    self._wait(event.name, event.interval_range_s, due)
+                    self._happen(event, due)
+
+    def after_physics(self) -> tuple[dict[bool, BoolArray], dict[str, BoolArray]]:
+        """Updates of observations, and ends.
+
+        Returns the envs that the terms end, by whether they time out, and those that each term
+        ends.
+        """
+        self._env.refresh()
+        for observation in self.terms.observations.values():
+            self._hook(observation, "update", self._env)
+        return self.ended()
+
+    def observed(self, group: str = POLICY) -> dict[str, FloatArray]:
+        """Present values of the terms that a group observes, [num_envs, width], without noise."""
+        return {term.name: self._value(term, width) for term, width in self._columns if (term.group or POLICY) == group}
+
+    def look_at(self, view: TermEnv) -> None:
+        """Lets the terms see `view` in the place of the simulator's own state."""
+        self._env = view
 
     def reset(self, seed: int | None = None, mask: BoolArray | None = None, state: Any = None) -> None:
         """Begins new episodes, see `VecSim.reset`."""
@@ -303,7 +323,7 @@ class TermSim(_core.VecSim):
         timer -= np.float32(self.step_dt)
         return np.flatnonzero(timer <= 0.0)
 
-    def _ended(self) -> tuple[dict[bool, BoolArray], dict[str, BoolArray]]:
+    def ended(self) -> tuple[dict[bool, BoolArray], dict[str, BoolArray]]:
         """Envs that the terms end, by whether they time out, and envs that each term ends."""
         ends, causes = {kind: np.zeros(self.num_envs, dtype=np.bool_) for kind in (False, True)}, {}
         for name, term in self.terms.terminations.items():
@@ -338,15 +358,16 @@ class TermSim(_core.VecSim):
         """Computes the columns of the terms, and writes those of the mask."""
         if not self._columns:
             return
-        parts = []
-        for term, width in self._columns:
-            if isinstance(term, Command):
-                parts.append(self._checks_of_command(term))
-                continue
-            value = self._call(term.name, term.function, self._env)
-            shape = (self.num_envs, width)
-            parts.append(self._checks.rows(f"observations[{term.name!r}]", value, shape, self._env.valid))
+        parts = [self._value(term, width) for term, width in self._columns]
         super().observe_external(np.ascontiguousarray(np.concatenate(parts, axis=1)), mask)
+
+    def _value(self, term: Shown, width: int) -> FloatArray:
+        """[num_envs, width], the columns of a term."""
+        if isinstance(term, Command):
+            return self._checks_of_command(term)
+        value = self._call(term.name, term.function, self._env)
+        shape = (self.num_envs, width)
+        return self._checks.rows(f"observations[{term.name!r}]", value, shape, self._env.valid)
 
     def _checks_of_command(self, command: Command) -> FloatArray:
         values = self._commands[command.name]

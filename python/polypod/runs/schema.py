@@ -371,6 +371,20 @@ class TrainConfig:
         networks = (self.actor, self.critic)
         return self.rnd is None and self.distillation is None and all(of.class_name != RNN for of in networks)
 
+    @property
+    def distils_without_memory(self) -> bool:
+        """Whether a `TaughtRunner` learns this: many teachers, no recurrent network.
+
+        Raises:
+            ConfigError: for a teacher without a manifest.
+        """
+        if self.distillation is None or self.distillation.teachers is None or self.actor.class_name == RNN:
+            return False
+        teachers = sorted(set(self.distillation.teachers.values()))
+        return all(
+            read_manifest(Path(path).parent / "manifest.json")["policy"]["class_name"] != RNN for path in teachers
+        )
+
     def _why_not_native(self, device_type: str) -> str | None:
         """Reason why the native learner cannot train this config."""
         is_on_cpu = device_type == "cpu"

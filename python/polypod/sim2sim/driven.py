@@ -249,6 +249,13 @@ class Driven:
         velocity = np.einsum("eji,ej->ei", rotations.matrix(self.qpos[:, 3:7]), self.qvel[:, :3])
         return velocity, self.qvel[:, 3:6]
 
+    def joint_effort(self) -> Array:
+        """[envs, joints], of the actuators in the last physics step, N m; 0 after a reset."""
+        if self._fresh:
+            return np.zeros((self.num_envs, self.robot.num_joints))
+        joints = self.reference.v[6:]
+        return np.stack([data.qfrc_actuator[joints] + data.qfrc_applied[joints] for data in self._data])
+
     def _physics_step(self, substep: int, envs: npt.NDArray[np.intp], fell: npt.NDArray[np.bool_]) -> None:
         model = self.reference.model
         since = substep * self.step_dt / self.substeps

@@ -46,7 +46,7 @@ class _WithReference:
         base_pos, base_quat = np.zeros((self.env.num_envs, 3)), np.tile([1.0, 0.0, 0.0, 0.0], (self.env.num_envs, 1))
         if self.twin is not None:
             base_pos[self.rows], base_quat[self.rows] = self.twin.qpos[:, :3], self.twin.qpos[:, 3:7]
-        known = {
+        known: dict[str, npt.NDArray[Any]] = {
             COMMAND: self.tracker.command(self.env),
             "motion_phase": self.tracker.phase(self.env),
             "motion_anchor_pos_b": self.tracker.anchor_pos(self.env, base_pos, base_quat),

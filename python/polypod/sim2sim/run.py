@@ -5,7 +5,7 @@ import functools
 import json
 import math
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from polypod.accuracy import reference
 from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array
 from polypod.compat import tomllib
-from polypod.evaluation import Policy, Walking, play_task, undisturbed, walking
+from polypod.evaluation import Policy, Walking, play_task, rising, undisturbed, walking
 from polypod.evaluation.results import finite
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
@@ -26,9 +26,13 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
 from polypod.provenance import Measured, measured
+from polypod.python_terms import Terms, TermSim
+from polypod.runs.own_terms import terms_of_run
 from polypod.sim2sim.commands import Commanded, Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
+from polypod.sim2sim.own_terms import OwnTerms
 from polypod.sim2sim.twin import Physics, Twin
+from polypod.vector_env import simulator
 
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
@@ -74,6 +78,8 @@ class Options:
     """See `Physics.soft_contact`."""
     overrides: tuple[str, ...] = ()
     """`key=value` changes to the task, on top of the run's own."""
+    terms: Path | None = None
+    """The Python file of terms that the run was begun with, which is run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,8 +195,9 @@ def compare(
     loaded = load(checkpoint, robots=robots)
     network, manifest = loaded.network, loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)
+    terms = terms_of_run(manifest, options.terms, str(checkpoint))
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
-    episode = Episode(manifest, sources, options)
+    episode = Episode(manifest, sources, options, terms)
     physics = episode.physics
     for name in known:
         check_steps(physics, episode.step_dt, name)
@@ -234,6 +241,8 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
         words += ["--command", *map(str, options.command)]
     if options.soft_contact:
         words.append("--soft-contact")
+    if options.terms is not None:
+        words += ["--terms", str(options.terms)]
     words += [word for change in options.overrides for word in ("--set", change)]
     return shlex.join(words)
 
@@ -253,18 +262,24 @@ class Ends:
 class Episode:
     """Initial states and commands, the same for both simulators."""
 
-    def __init__(self, manifest: dict[str, Any], sources: list[str], options: Options) -> None:
-        """Draws the initial states and the commands. Raises ConfigError."""
+    def __init__(
+        self, manifest: dict[str, Any], sources: list[str], options: Options, terms: Terms | None = None
+    ) -> None:
+        """Draws the initial states and the commands; `terms` are the run's. Raises ConfigError."""
         name, trained = play_task(manifest["task"]), manifest["overrides"]
-        self.sim = _core.VecSim(
+        self._begin: Callable[[], _core.VecSim] = functools.partial(
+            simulator,
+            terms,
             name,
             options.envs_per_robot * len(sources),
+            play=True,
             robots=sources,
             seed=options.seed,
             overrides=[*trained, *undisturbed(name, trained), *options.overrides],
             autoreset="disabled",
             slots=manifest["canonical_joint_names"],
         )
+        self.sim = self._begin()
         self.envs_per_robot = options.envs_per_robot
         self.step_dt = self.sim.step_dt
         is_scheduled = options.command is None and options.commands == "walking"
@@ -311,6 +326,11 @@ class Episode:
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
         self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
 
+    def own_terms(self, name: str) -> OwnTerms | None:
+        """Terms in Python of one robot in MuJoCo, at the beginning of the episode; None: none."""
+        sim = self._begin() if isinstance(self.sim, TermSim) else None
+        return OwnTerms(sim, name) if isinstance(sim, TermSim) else None
+
     def commands_of(self, name: str) -> Commands:
         """The commands of one robot's envs."""
         envs = slice(*self.sim.env_ids(name))
@@ -339,7 +359,7 @@ class Episode:
         least_height = -np.inf
         if lowest is not None:
             share = lowest.get("minimum_share", _MINIMUM_SHARE)
-            least_height = lowest.get("minimum_height", _least_height(share, interface.info))
+            least_height = lowest.get("minimum_height", rising.least_height(share, interface.info))
         return Ends(frozenset(groups), least_height, ends.get("bad_orientation", {}).get("limit_angle", np.pi))
 
     def delays(self, robot: accuracy_robot.Robot) -> Array:
@@ -433,14 +453,18 @@ def _run_mujoco(
     progress: Progress,
     watch: Watch | None,
 ) -> Figures:
-    twin = twin_of(episode, name, source, interface, policy)
+    terms = episode.own_terms(name)
+    twin = twin_of(episode, name, source, interface, policy if terms is None else terms.policy(policy))
     twin.reset(*episode.start[name])
+    if terms is not None:
+        terms.begin(twin)
+    step_by = twin.step if terms is None else functools.partial(terms.step, twin)
     commands = episode.commands_of(name)
     envs = slice(*episode.sim.env_ids(name))
     record = walking.Record(episode.schedule.of_envs(envs), episode.step_dt)
     for step in range(episode.steps):
         wanted = commands.at(step, rotations.heading(twin.qpos[:, 3:7]))
-        seen = twin.step(wanted, record.active)
+        seen = step_by(wanted, record.active)
         record.add(seen.velocity, seen.yaw_rate, seen.fell, wanted)
         if watch is not None:
             watch("mujoco", name, twin.qpos)
@@ -454,16 +478,6 @@ def _combined_friction(task: dict[str, Any]) -> float:
     a, b = ground["static_friction"], robot["static_friction"]
     rules = {"multiply": a * b, "average": 0.5 * (a + b), "min": min(a, b), "max": max(a, b)}
     return float(rules[ground["friction_combine"]])
-
-
-def _least_height(share: float, info: Mapping[str, Any]) -> float:
-    """Height of a base that has sunk to a share of its height, m.
-
-    As `MorphologyModel::least_height` of the simulator.
-    """
-    height: float = info["base_height"]
-    hips = height + float(info.get("hip_height", 0.0))
-    return share * height if height >= 0.5 * hips else height - (1.0 - share) * hips
 
 
 def _spin_friction(task: dict[str, Any]) -> dict[str, float]:

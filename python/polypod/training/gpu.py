@@ -8,6 +8,7 @@ from tensordict import TensorDict
 
 from polypod import _core
 from polypod.runs.schema import OBSERVATION_GROUP
+from polypod.training.adam import give_moments, take_moments
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
 from polypod.training.runner import Runner
@@ -72,7 +73,7 @@ class GpuRunner(NativeRunner):
     def _give(self) -> None:
         """Hands networks and statistics to the native learner, and Adam's moments to the update."""
         super()._give()
-        self._update_of.take_moments(self.alg.optimizer)
+        take_moments(self._update_of.optimizer, self.alg.optimizer)
 
     def _give_policy(self) -> None:
         """Hands the acting and the estimating network and statistics to the native learner."""
@@ -86,4 +87,4 @@ class GpuRunner(NativeRunner):
 
     def _take_networks(self) -> None:
         """Networks and statistics of observations are rsl_rl's; Adam's moments the update's."""
-        self._update_of.give_moments(self.alg.optimizer)
+        give_moments(self._update_of.optimizer, self.alg.optimizer)

@@ -20,6 +20,7 @@ from polypod.networks.urma import JointCounts, counted
 from polypod.rsl_rl import VecEnv
 from polypod.runs.schema import ALTERNATE, AlgorithmConfig
 from polypod.training import deviations
+from polypod.training.adam import graph_adam, tensors_of
 from polypod.training.graphs import Graphs
 from polypod.training.symmetry import Mirror
 from polypod.training.workers import Workers
@@ -116,15 +117,8 @@ class Update:
         self._old_std = torch.zeros(sim.num_actions, device=device)
         """Where the deviations are parameters: those that the samples were drawn with."""
         self._index = torch.zeros(len(samples.order), dtype=torch.int64, device=device)
-        is_cuda = device.type == "cuda"
         parameters = [parameter for network in self._networks for parameter in network.parameters()]
-        self.optimizer = torch.optim.Adam(parameters, lr=self._rate, capturable=is_cuda, fused=is_cuda or None)
-        for parameter in parameters:
-            self.optimizer.state[parameter] = {
-                "step": torch.zeros((), device=device),
-                "exp_avg": torch.zeros_like(parameter),
-                "exp_avg_sq": torch.zeros_like(parameter),
-            }
+        self.optimizer = graph_adam(parameters, self._rate)
         self._sizes: list[tuple[int, ...]] = []
         """Sizes of each mini-batch: the samples of each worker."""
         self._parameters = parameters
@@ -172,7 +166,7 @@ class Update:
             for network in self._networks:
                 buffers = dict(network.named_buffers())
                 network.update_normalization(observations)
-                _keep_in_place(network, buffers)
+                keep_in_place(network, buffers)
         value, surrogate, entropy, rate = torch.cat([self._losses, self._rate.view(1)]).tolist()
         if not np.isfinite([value, surrogate, entropy]).all():
             raise _core.ConfigError(
@@ -200,10 +194,7 @@ class Update:
 
     def _changed(self) -> list[torch.Tensor]:
         """Tensors that a step changes and the next step reads."""
-        tensors = [self._rate, self._losses, self._sums]
-        for parameter, state in self.optimizer.state.items():
-            tensors += [parameter.data, *state.values()]
-        return tensors
+        return [self._rate, self._losses, self._sums, *tensors_of(self.optimizer)]
 
     def _observations(self, index: torch.Tensor) -> TensorDict:
         groups = {name: tensor[index] for name, tensor in self._samples.observations.items()}
@@ -336,25 +327,8 @@ class Update:
         is_small = (mean < wanted / 2.0) & (mean > 0.0)
         rate.copy_(torch.where(mean > wanted * 2.0, slower, torch.where(is_small, faster, rate)))
 
-    def take_moments(self, optimizer: torch.optim.Optimizer) -> None:
-        """Goes on with the moments of another Adam of the same parameters."""
-        for parameter in self._parameters:
-            state = optimizer.state.get(parameter, {})
-            for key, tensor in self.optimizer.state[parameter].items():
-                tensor.copy_(state[key]) if key in state else tensor.zero_()
 
-    def give_moments(self, optimizer: torch.optim.Optimizer) -> None:
-        """The reverse of `take_moments`."""
-        for parameter in self._parameters:
-            state = self.optimizer.state[parameter]
-            optimizer.state[parameter] = {
-                "step": state["step"].cpu().clone(),
-                "exp_avg": state["exp_avg"].clone(),
-                "exp_avg_sq": state["exp_avg_sq"].clone(),
-            }
-
-
-def _keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:
+def keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:
     """Moves buffers that were replaced back to where they were, which is where graphs read them."""
     for name, old in buffers.items():
         owner, _, leaf = name.rpartition(".")

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDict
 
 from polypod.training import deviations
+from polypod.training.adam import give_moments, take_moments
 from polypod.training.gpu_update import Update
 from polypod.training.reward_scale import RewardScale
 from polypod.training.rollout import Rollout
@@ -59,7 +60,7 @@ class GraphRunner(Runner):
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint that rsl_rl's own loop can go on from."""
-        self._update_of.give_moments(self.alg.optimizer)
+        give_moments(self._update_of.optimizer, self.alg.optimizer)
         for group in self.alg.optimizer.param_groups:
             group["lr"] = self.alg.learning_rate
         super().save(path, infos)
@@ -69,5 +70,5 @@ class GraphRunner(Runner):
     ) -> dict[str, Any]:
         """Takes over a checkpoint of any learner."""
         infos = super().load(path, load_cfg, strict, map_location)
-        self._update_of.take_moments(self.alg.optimizer)
+        take_moments(self._update_of.optimizer, self.alg.optimizer)
         return infos

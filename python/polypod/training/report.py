@@ -9,7 +9,7 @@ from datetime import timedelta
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from polypod.evaluation import CONFIDENCE, Evaluation, Interval, RobotResult, Summary, walking
+from polypod.evaluation import CONFIDENCE, Evaluation, Interval, RobotResult, Summary, rising, walking
 from polypod.tables import Rows, console_of_output, shown
 
 _PLAIN_INTERVAL_S = 10.0
@@ -117,6 +117,7 @@ class Reporter:
         table.print(self.console)
         if is_judged:
             self._verdict(evaluation)
+        self._rising(evaluation)
         for robot, distance in evaluation.distances.items():
             self.message(f"  {robot}: its description is {distance}")
         kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
@@ -152,6 +153,22 @@ class Reporter:
         for robot, found in reasons.items():
             if found:
                 self.message(f"  {robot}: {'; '.join(found)}")
+
+    def _rising(self, evaluation: Evaluation) -> None:
+        """Prints how well robots get up, in a task that rewards it."""
+        found = {robot: result.rising for robot, result in evaluation.robots.items() if result.rising is not None}
+        if not found:
+            return
+        self.message(
+            f"up: within {math.degrees(rising.TILT):.0f} degrees of the direction that the task rewards, at "
+            f"{rising.HEIGHT:.0%} of its height; held: the longest time up"
+        )
+        table = Rows("robot", f"up within {rising.WITHIN_S:g} s", "after", "held", "held by 95 %")
+        for robot, figures in found.items():
+            after = "-" if math.isnan(figures.time_s) else f"{figures.time_s:.1f} s"
+            held = f"{figures.held_s:.1f} s", f"{figures.least_held_s:.1f} s"
+            table.add_row(robot, f"{figures.rate:.1%}", after, *held)
+        table.print(self.console)
 
     def summary(self, summary: Summary) -> None:
         """Prints means and intervals over seeds per robot."""

@@ -27,6 +27,7 @@ from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
+from polypod.training.taught_runner import TaughtRunner
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
@@ -448,6 +449,8 @@ def runner_of(
         return GpuRunner(env, train_config, run, device, reporter, workers)
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
+    if train_config.distils_without_memory:
+        return TaughtRunner(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)
     if train_config.distillation is not None and train_config.distillation.teacher is not None:
         runner.learn_from(Path(train_config.distillation.teacher))

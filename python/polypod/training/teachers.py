@@ -31,6 +31,7 @@ from polypod.policy import with_slots
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
 from polypod.runs.schema import OTHERS, URMA
+from polypod.training.gpu_update import ask_policy
 from polypod.training.workers import Workers
 
 GOLDEN = 0.6180339887498949
@@ -252,7 +253,8 @@ class ManyTeachers(Distillation):
         self._by_robot = weights == "robots"
         self.teacher_share = 0.0
         """Share of each robot's envs in which the teacher acts."""
-        self._counts: JointCounts | None = None
+        self.counts: JointCounts | None = None
+        """Joints of the robots of all envs."""
 
     @staticmethod
     def construct_algorithm(obs: TensorDict, env: VecEnv, cfg: dict[str, Any], device: str) -> "ManyTeachers":
@@ -293,7 +295,7 @@ class ManyTeachers(Distillation):
         # workers average their gradients
         self._weights = (weights * workers.count).to(self.device)
         self._order = order.unsqueeze(1).to(self.device)
-        self._counts = JointCounts(len(mask), int(mask.sum()), int(mask.sum(dim=1).max()))
+        self.counts = JointCounts(len(mask), int(mask.sum()), int(mask.sum(dim=1).max()))
         shares = [1.0 / len(blocks) if self._by_robot else count / total for count in counts.tolist()]
         of_robots = zip(sim.robots, blocks, shares, strict=True)
         self._robots = [(robot, *block, share) for robot, block, share in of_robots if block[0] < block[1]]
@@ -304,9 +306,28 @@ class ManyTeachers(Distillation):
         for group in self.optimizer.param_groups:
             group["lr"] = rate
 
+    def choose(self, obs: TensorDict, share: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Draws what the robots do, and asks teachers what they would do; nothing waits for a GPU.
+
+        Args:
+            obs: by group.
+            share: of each robot's envs in which the teacher acts, with the student's noise.
+
+        Returns:
+            Actions and labels, [num_envs, num_actions], and the deviations of the noise.
+        """
+        with counted([self.student], self.counts):
+            ask_policy(self.student, obs)
+        mean, std, *mask = self.student.output_distribution_params
+        noise = std * torch.randn_like(mean)
+        if mask:
+            noise = noise * mask[0]
+        labels = self.teacher(obs)
+        return torch.where(self._order < share, labels, mean) + noise, labels, std
+
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Actions of the student, or of the teacher with the student's noise."""
-        with counted([self.student], self._counts):
+        with counted([self.student], self.counts):
             actions = self.student(obs, stochastic_output=True).detach()
         labels = self.teacher(obs)
         if self.teacher_share > 0.0:
@@ -321,14 +342,14 @@ class ManyTeachers(Distillation):
         self.num_updates += 1
         errors = torch.zeros_like(self._weights)
         loss, count = torch.zeros((), device=self.device), 0
-        with counted([self.student], self._counts):
+        with counted([self.student], self.counts):
             for _ in range(self.num_learning_epochs):
                 self.student.reset(hidden_state=self.last_hidden_states[0])
                 self.student.detach_hidden_state()
                 for batch in self.storage.generator():
-                    error = self._errors(batch)
+                    error = self.errors(batch.observations, batch.privileged_actions)
                     errors += error.detach()
-                    loss = loss + (error * self._weights).sum()
+                    loss = loss + self.loss(error)
                     count += 1
                     if count % self.gradient_length == 0:
                         self._learn(loss)
@@ -339,15 +360,23 @@ class ManyTeachers(Distillation):
         self.student.detach_hidden_state()
         self.student.update_normalization(self.storage.observations.flatten(0, 1))
         self.storage.clear()
-        return self._figures(errors * self._weights / count)
+        return self.figures(errors / count)
 
-    def _errors(self, batch: RolloutStorage.Batch) -> torch.Tensor:
-        """[num_envs, num_actions], error of each action."""
-        kind = torch.device(self.device).type
-        with torch.amp.autocast(kind, dtype=torch.bfloat16, enabled=self.use_mixed_precision):
-            actions = self.student(batch.observations)
-        errors: torch.Tensor = self.loss_fn(actions.float(), batch.privileged_actions, reduction="none")
+    def errors(self, observations: TensorDict, labels: torch.Tensor) -> torch.Tensor:
+        """[num_envs, num_actions], error of each action of the student."""
+        with torch.amp.autocast(
+            torch.device(self.device).type,
+            dtype=torch.bfloat16,
+            enabled=self.use_mixed_precision,
+            cache_enabled=False,  # a graph reads the weights at each replay
+        ):
+            actions = self.student(observations)
+        errors: torch.Tensor = self.loss_fn(actions.float(), labels, reduction="none")
         return errors
+
+    def loss(self, errors: torch.Tensor) -> torch.Tensor:
+        """The weighted mean of the errors of one control step."""
+        return (errors * self._weights).sum()
 
     def _learn(self, loss: torch.Tensor) -> None:
         self.optimizer.zero_grad()
@@ -359,8 +388,9 @@ class ManyTeachers(Distillation):
         self.optimizer.step()
         self.student.detach_hidden_state()
 
-    def _figures(self, losses: torch.Tensor) -> dict[str, float]:
-        of_envs = losses.sum(dim=1)
+    def figures(self, errors: torch.Tensor) -> dict[str, float]:
+        """The mean loss, of all robots and of each, of mean errors [num_envs, num_actions]."""
+        of_envs = (errors * self._weights).sum(dim=1)
         sums = torch.stack([of_envs.sum(), *(of_envs[start:stop].sum() for _, start, stop, _ in self._robots)]).tolist()
         own = zip(self._robots, sums[1:], strict=True)
         return {"behavior": sums[0], **{f"behavior/{robot}": own_sum / share for (robot, *_, share), own_sum in own}}

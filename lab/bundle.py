@@ -1,0 +1,84 @@
+"""Makes a bundled policy of a recipe's model: `python -m lab.bundle MODEL FOLDER --task NAME`.
+
+The networks stay, and the manifest with the robots of the library. Drawn
+robots leave their descriptions behind, by which a policy says how far a body is from what it was
+trained on.
+"""
+
+import argparse
+import hashlib
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from polypod import _core
+from polypod.observation import terms_of
+from polypod.runs import run_dir
+
+KEPT = ("actor_state_dict", "critic_state_dict")
+
+
+def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, Any]:
+    """The manifest of a bundled policy.
+
+    Args:
+        manifest: of the run.
+        task: that evaluates it: the group `policy` must be the run's.
+        recipe: the command that trains it.
+
+    Raises:
+        ValueError: for a task whose policies see something else.
+    """
+    known = {entry["name"] for entry in _core.robots()}
+    robots = [robot for robot in manifest["robots"] if robot in known]
+    sim = _core.VecSim(task, len(robots), robots=robots, threads=1)
+    seen = [(term.term, term.size) for term in terms_of(sim)]
+    if seen != (trained := [(entry["term"], entry["size"]) for entry in manifest["observation_layout"]]):
+        raise ValueError(f"{task} shows {seen}, and the policy was trained on {trained}")
+    config = json.loads(json.dumps(manifest["train_config"]))
+    if (distillation := config.get("distillation")) is not None:
+        teachers = distillation["teachers"]
+        distillation["teachers"] = {robot: Path(path).parent.name for robot, path in teachers.items()}
+    return {
+        **manifest,
+        "task": sim.task_name,
+        "command": recipe,
+        "overrides": [],
+        "robots": robots,
+        "robot_sources": robots,
+        "joint_maps": {robot: manifest["joint_maps"][robot] for robot in robots},
+        "robot_info": {robot: manifest["robot_info"][robot] for robot in robots},
+        "train_config": config,
+    }
+
+
+def main() -> None:
+    """Writes the folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--task", required=True)
+    parser.add_argument("--recipe", default="lab/recipes/legged")
+    arguments = parser.parse_args()
+    state = run_dir.load_checkpoint(arguments.model)
+    recipe = shlex.join(["python", "-m", "lab.recipe", arguments.recipe])
+    try:
+        manifest = manifest_of(run_dir.read_manifest(arguments.model), arguments.task, recipe)
+    except ValueError as error:
+        sys.exit(str(error))
+    arguments.folder.mkdir(parents=True)
+    checkpoint = arguments.folder / f"model_{state['iter']}.pt"
+    torch.save({**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}, checkpoint)
+    manifest["checkpoints"] = {checkpoint.name: hashlib.sha256(checkpoint.read_bytes()).hexdigest()}
+    (arguments.folder / "manifest.json").write_text(
+        json.dumps(manifest, separators=(",", ":")) + "\n", encoding="utf-8"
+    )
+    print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT`.
+
+A recipe is a folder with a `plan.toml` and train configs. Each stage of the plan is a run of
+`polypod train`. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output
+in `OUT/<stage>.log`. A stage whose model is there is not trained again, so that a recipe goes on
+where it ended, also on another machine.
+"""
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from polypod.compat import tomllib
+
+GRACE = 60.0
+"""Seconds that a stage has to write its checkpoint, once it is told to end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """A training."""
+
+    name: str
+    config: str
+    """A train config: a name, or a file of the recipe."""
+    robots: tuple[str, ...]
+    """Names; `@group` stands for a group of the plan, and `@drawn.0` for the bodies of the first
+    line of `bodies`."""
+    iterations: int | None = None
+    """None: the config's."""
+    seed: int = 1
+    init: str | None = None
+    """A stage, or a bundled policy, whose networks it begins with."""
+    teachers: Mapping[str, str] = field(default_factory=dict)
+    """Stages or bundled policies by robots (as above, with commas between), of a distillation."""
+    shares: Mapping[str, float] = field(default_factory=dict)
+    """Shares of the envs by robots, where they are not 1."""
+    changes: tuple[str, ...] = ()
+    """As after `--set`."""
+    workers: int = 1
+    """Processes with a GPU each."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Stages, and the drawn bodies that they train on."""
+
+    folder: Path
+    stages: tuple[Stage, ...]
+    groups: Mapping[str, Sequence[str]]
+    bodies: tuple[tuple[str, ...], ...]
+    """Arguments of `polypod bodies generate`, after the folder."""
+
+    def robots(self, names: Sequence[str], out: Path) -> list[str]:
+        """Robots that names and groups stand for."""
+        found: list[str] = []
+        for name in names:
+            if name.startswith("@drawn."):
+                found += sorted(path.stem for path in (bodies_folder(out, name[7:]) / "configs/robots").glob("*.toml"))
+            else:
+                found += self.groups[name[1:]] if name.startswith("@") else [name]
+        return found
+
+
+def bodies_folder(out: Path, number: int | str) -> Path:
+    """Where drawn bodies lie."""
+    return out / "bodies" / str(number)
+
+
+def read(folder: Path) -> Recipe:
+    """Reads a recipe."""
+    with (folder / "plan.toml").open("rb") as file:
+        plan = tomllib.load(file)
+    bodies = tuple(tuple(arguments) for arguments in plan.get("bodies", []))
+
+    def stage(table: dict[str, Any]) -> Stage:
+        return Stage(**{**table, "robots": tuple(table["robots"]), "changes": tuple(table.get("changes", ()))})
+
+    stages = tuple(stage(table) for table in plan["stages"])
+    return Recipe(folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies)
+
+
+def command(recipe: Recipe, stage: Stage, out: Path) -> list[str]:
+    """The command line of a stage's training."""
+    config = recipe.folder / stage.config
+    made = {other.name for other in recipe.stages}
+
+    def model(name: str) -> str:
+        return str(out / name / "model.pt") if name in made else name
+
+    start = [sys.executable, "-m", "polypod"]
+    if stage.workers > 1:
+        start = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={stage.workers}"]
+        start += ["-m", "polypod"]
+    words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
+    words += [
+        "--robots",
+        ",".join(recipe.robots(stage.robots, out)),
+        "--seed",
+        str(stage.seed),
+        "--log-dir",
+        str(out / "runs" / stage.name),
+    ]
+    words += ["--logger", "none"]
+    if stage.iterations is not None:
+        words += ["--max-iterations", str(stage.iterations)]
+    if stage.init is not None:
+        words += ["--init", model(stage.init)]
+    for change in stage.changes:
+        words += ["--set", change]
+    for names, teacher in stage.teachers.items():
+        for robot in recipe.robots(names.split(","), out):
+            words += ["--set", f'train.distillation.teachers.{robot}="{model(teacher)}"']
+    for names, share in stage.shares.items():
+        for robot in recipe.robots(names.split(","), out):
+            words += ["--set", f"env_shares.{robot}={share}"]
+    return words
+
+
+def environment(recipe: Recipe, out: Path) -> dict[str, str]:
+    """The environment of a stage: drawn bodies and the recipe's tasks are found in it."""
+    drawn = [str(bodies_folder(out, number)) for number in range(len(recipe.bodies))]
+    folders = [*drawn, str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
+    return {**os.environ, "POLYPOD_PATH": os.pathsep.join(folder for folder in folders if folder)}
+
+
+def draw(recipe: Recipe, out: Path) -> None:
+    """Draws the bodies, if they are not there."""
+    for number, arguments in enumerate(recipe.bodies):
+        if not (folder := bodies_folder(out, number)).is_dir():
+            words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder), *arguments]
+            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+
+
+def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None) -> str:
+    """Trains a stage, until `ends_at` at most (`time.monotonic`); returns a line about it."""
+    if (out / stage.name / "model.pt").is_file():
+        return f"{stage.name}: is there"
+    began = time.monotonic()
+    if ends_at is not None and began > ends_at:
+        return f"{stage.name}: no time left"
+    with (out / f"{stage.name}.log").open("w") as log:
+        run = subprocess.Popen(
+            command(recipe, stage, out), stdout=log, stderr=subprocess.STDOUT, env=environment(recipe, out)
+        )
+        try:
+            code = run.wait(None if ends_at is None else max(ends_at - time.monotonic(), 0.0))
+        except subprocess.TimeoutExpired:
+            run.send_signal(signal.SIGTERM)
+            code = run.wait(GRACE)
+    return f"{stage.name}: exit code {code}, {time.monotonic() - began:.0f} s, {keep(stage.name, out)}"
+
+
+def keep(name: str, out: Path) -> str:
+    """Puts the last checkpoint of a stage's run with its manifest where other stages find it."""
+    models = sorted((out / "runs" / name).glob("rsl_rl/*/*/model_*.pt"), key=lambda path: path.stat().st_mtime)
+    if not models:
+        return "no checkpoint"
+    (out / name).mkdir(exist_ok=True)
+    shutil.copy(models[-1], out / name / "model.pt")
+    shutil.copy(models[-1].parent / "manifest.json", out / name / "manifest.json")
+    return models[-1].name
+
+
+def main() -> None:
+    """Trains the stages that are asked for, in the plan's order."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recipe", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--stages", help="names, with commas between; all by default")
+    parser.add_argument("--together", type=int, default=1, help="trainings at a time")
+    parser.add_argument("--seconds", type=float, help="after which trainings end, with a checkpoint")
+    arguments = parser.parse_args()
+    began = time.monotonic()
+    recipe, out = read(arguments.recipe.resolve()), arguments.out.resolve()
+    known = {stage.name: stage for stage in recipe.stages}
+    names = list(known) if arguments.stages is None else arguments.stages.split(",")
+    if unknown := [name for name in names if name not in known]:
+        sys.exit(f"{arguments.recipe} has no stage {', '.join(unknown)}; it has {', '.join(known)}")
+    out.mkdir(parents=True, exist_ok=True)
+    draw(recipe, out)
+    ends_at = None if arguments.seconds is None else began + arguments.seconds
+    with ThreadPoolExecutor(arguments.together) as pool:
+        for line in pool.map(lambda name: train(recipe, known[name], out, ends_at), names):
+            print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
