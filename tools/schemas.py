@@ -35,11 +35,11 @@ Schema = dict[str, Any]
 
 ITEM = re.compile(
     r"(?P<above>(?:^(?:///|#\[)[^\n]*\n)*)^(?:pub(?:\([^)]*\))? )?(?P<sort>struct|enum) (?P<name>\w+)"
-    r"[^;{(\n]*\{\n(?P<body>.*?)^\}",
+    r"(?:<(?P<parameter>\w+)>)?[^;{(\n]*\{\n(?P<body>.*?)^\}",
     re.MULTILINE | re.DOTALL,
 )
 VARIANT = re.compile(
-    r"^    (?P<name>[A-Z]\w*)(?:\((?P<inner>\w+)\)| \{\n(?P<fields>.*?)^    \}| \{\})?,$", re.MULTILINE | re.DOTALL
+    r"^    (?P<name>[A-Z]\w*)(?:\((?P<inner>[\w<>]+)\)| \{\n(?P<fields>.*?)^    \}| \{\})?,$", re.MULTILINE | re.DOTALL
 )
 NUMBER = re.compile(r"const (\w+): [\w]+ = ([-\w.+]+);")
 SIMPLE: dict[str, Schema] = {
@@ -82,6 +82,12 @@ class Item:
     sort: str
     above: str
     body: str
+    parameter: str | None = None
+    """Name of the type that a generic struct leaves open."""
+
+    def of(self, type_: str | None) -> "Item":
+        """A generic struct with its open type filled in."""
+        return Item(self.sort, self.above, re.sub(rf"(?<=: ){self.parameter}(?=,)", type_ or "", self.body))
 
     @property
     def description(self) -> str:
@@ -108,7 +114,10 @@ class Parser:
         """Reads the sources."""
         paths = [*sorted((ROOT / "src" / "config").glob("*.rs")), ROOT / "src" / "robot" / "roles.rs"]
         text = "\n".join(path.read_text() for path in paths)
-        self.items = {item["name"]: Item(item["sort"], item["above"], item["body"]) for item in ITEM.finditer(text)}
+        self.items = {
+            item["name"]: Item(item["sort"], item["above"], item["body"], item["parameter"])
+            for item in ITEM.finditer(text)
+        }
         # a termination has no keys but its term's
         self.items["TerminationConfig"] = Item("struct", "/// Parameters of a termination.", "")
         everything = text + (ROOT / "src" / "bounds.rs").read_text()
@@ -239,13 +248,18 @@ class Parser:
         tables = []
         for found in variants:
             body = textwrap.dedent(re.sub(r"^    ", "", found["fields"] or "", flags=re.MULTILINE))
-            inner = self.items[found["inner"]] if found["inner"] else Item("struct", "", textwrap.indent(body, "    "))
+            inner = self.inner(found["inner"]) if found["inner"] else Item("struct", "", textwrap.indent(body, "    "))
             own, needed = self.properties(inner, whole)
             above = item.body[: item.body.index(found[0])]
             name = {"description": doc(last_comment(above)), "const": snake(found["name"])}
             keys = {tag[1]: name, **properties, **own}
             tables.append(table(name["description"], keys, [tag[1], *required, *needed] if whole else []))
         return {"description": item.description, "anyOf": tables}
+
+    def inner(self, kind: str) -> Item:
+        """The struct of a variant, which may be generic."""
+        name, _, type_ = kind.removesuffix(">").partition("<")
+        return self.items[name].of(type_) if type_ else self.items[name]
 
     def commands(self, item: Item, whole: bool) -> Schema:
         """The commands of a task."""

@@ -43,9 +43,10 @@ pub use task::{
     VELOCITY_COMMAND, VelocityCommandConfig,
 };
 pub use terrain::{Columns, ScaleBy, SubTerrainConfig, TerrainConfig};
+pub(crate) use tiles::RepeatedObject;
 pub(crate) use tiles::SECOND_STEP;
 pub use tiles::{
     BeamsConfig, BoxConfig, BoxObjectConfig, BoxesConfig, GapConfig, HeightfieldConfig, MixtureConfig, ObstacleHeight,
-    ObstaclesConfig, PitConfig, RailsConfig, RampsConfig, RepeatedBoxesConfig, RepeatedRoundConfig, RingConfig,
-    RoughConfig, RoundObjectConfig, SlopeConfig, StairsConfig, StarConfig, StonesConfig, SubTerrainShape, WaveConfig,
+    ObstaclesConfig, PitConfig, RailsConfig, RampsConfig, RepeatedObjectsConfig, RingConfig, RoughConfig,
+    RoundObjectConfig, SlopeConfig, StairsConfig, StarConfig, StonesConfig, SubTerrainShape, WaveConfig,
 };

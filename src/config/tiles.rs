@@ -41,11 +41,11 @@ pub enum SubTerrainShape {
     /// Parallel beams over a hole, on the four sides of a platform.
     Beams(BeamsConfig),
     /// Boxes that stand about at random places, turned by random angles.
-    RepeatedBoxes(RepeatedBoxesConfig),
+    RepeatedBoxes(RepeatedObjectsConfig<BoxObjectConfig>),
     /// Square pyramids at random places, turned by random angles.
-    RepeatedPyramids(RepeatedRoundConfig),
+    RepeatedPyramids(RepeatedObjectsConfig<RoundObjectConfig>),
     /// Cylinders at random places.
-    RepeatedCylinders(RepeatedRoundConfig),
+    RepeatedCylinders(RepeatedObjectsConfig<RoundObjectConfig>),
     /// A height field of random heights.
     RandomRough(RoughConfig),
     /// A height field that rises towards the middle.
@@ -245,24 +245,24 @@ pub struct BeamsConfig {
     pub border_width: f64,
 }
 
-/// Boxes at the easiest and the hardest level.
+/// Objects at the easiest and the hardest level.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct RepeatedBoxesConfig {
-    /// The boxes at difficulty 0.
-    pub object_params_start: BoxObjectConfig,
-    /// The boxes at difficulty 1.
-    pub object_params_end: BoxObjectConfig,
+pub struct RepeatedObjectsConfig<T> {
+    /// The objects at difficulty 0.
+    pub object_params_start: T,
+    /// The objects at difficulty 1.
+    pub object_params_end: T,
     /// Number that is added to each height, drawn from this range. Default: 0.
     #[serde(default, deserialize_with = "values::range_of::<Height, _, _>")]
     pub abs_height_noise: [f64; 2],
     /// Factor of each height, drawn from this range. Default: 1.
     #[serde(default = "ones", deserialize_with = "values::range_of::<Gain, _, _>")]
     pub rel_height_noise: [f64; 2],
-    /// Edge length of the platform in the middle, on which no box stands.
+    /// Edge length of the platform in the middle, on which no object stands.
     #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
     pub platform_width: f64,
-    /// Height of the platform; that of the boxes if it is negative. Default: -1.
+    /// Height of the platform; that of the objects if it is negative. Default: -1.
     #[serde(default = "minus_one", deserialize_with = "values::number_of::<Height, _, _>")]
     pub platform_height: f64,
 }
@@ -285,28 +285,6 @@ pub struct BoxObjectConfig {
     pub max_yx_angle: f64,
 }
 
-/// Pyramids or cylinders at the easiest and the hardest level.
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct RepeatedRoundConfig {
-    /// The objects at difficulty 0.
-    pub object_params_start: RoundObjectConfig,
-    /// The objects at difficulty 1.
-    pub object_params_end: RoundObjectConfig,
-    /// Number that is added to each height, drawn from this range. Default: 0.
-    #[serde(default, deserialize_with = "values::range_of::<Height, _, _>")]
-    pub abs_height_noise: [f64; 2],
-    /// Factor of each height, drawn from this range. Default: 1.
-    #[serde(default = "ones", deserialize_with = "values::range_of::<Gain, _, _>")]
-    pub rel_height_noise: [f64; 2],
-    /// Edge length of the platform in the middle, on which no object stands.
-    #[serde(deserialize_with = "values::number_of::<Length, _, _>")]
-    pub platform_width: f64,
-    /// Height of the platform; that of the objects if it is negative. Default: -1.
-    #[serde(default = "minus_one", deserialize_with = "values::number_of::<Height, _, _>")]
-    pub platform_height: f64,
-}
-
 /// Pyramids or cylinders that stand about.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -323,6 +301,57 @@ pub struct RoundObjectConfig {
     /// Largest angle by which an object is tilted about x and about y, degrees. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<LeanDegrees, _, _>")]
     pub max_yx_angle: f64,
+}
+
+/// An object that stands about.
+pub(crate) trait RepeatedObject {
+    /// Number of such objects.
+    fn count(&self) -> u32;
+    /// Its height.
+    fn height(&self) -> f64;
+    /// Largest angle by which it is tilted, degrees.
+    fn tilt(&self) -> f64;
+    /// Its width at most, seen from above while it is upright.
+    fn width(&self) -> f64;
+}
+
+/// Implements [`RepeatedObject`] for a table of an object; `width` follows from it.
+macro_rules! repeated_object {
+    ($table:ty, $object:ident => $width:expr) => {
+        impl RepeatedObject for $table {
+            fn count(&self) -> u32 {
+                self.num_objects
+            }
+
+            fn height(&self) -> f64 {
+                self.height
+            }
+
+            fn tilt(&self) -> f64 {
+                self.max_yx_angle
+            }
+
+            fn width(&self) -> f64 {
+                let $object = self;
+                $width
+            }
+        }
+    };
+}
+repeated_object!(BoxObjectConfig, object => object.size[0].hypot(object.size[1]));
+repeated_object!(RoundObjectConfig, object => 2.0 * object.radius);
+
+impl<T: RepeatedObject> RepeatedObjectsConfig<T> {
+    /// Largest number of objects.
+    fn most_objects(&self) -> f64 {
+        f64::from(self.object_params_start.count().max(self.object_params_end.count()))
+    }
+
+    /// Largest width of an object, tilted or not, seen from above.
+    fn widest(&self) -> f64 {
+        let width = |object: &T| object.width() + leaning(object.height(), object.tilt());
+        width(&self.object_params_start).max(width(&self.object_params_end))
+    }
 }
 
 /// Random heights. The difficulty changes nothing.
@@ -502,7 +531,7 @@ impl SubTerrainShape {
         let rings = |depth: f64| 8.0 * RECTANGLE * (0.5 * x.min(y) / depth + 3.0);
         let blocks = |count: f64| 5.0 * RECTANGLE * (count + 3.0);
         // a cylinder of 16 sides: its top and its walls
-        let objects = |start: u32, end: u32| 80.0 * f64::from(start.max(end)) + blocks(3.0);
+        let objects = |count: f64| 80.0 * count + blocks(3.0);
         let field = (x / terrain.horizontal_scale + 2.0) * (y / terrain.horizontal_scale + 2.0);
         match self {
             Self::Flat {} => RECTANGLE,
@@ -513,10 +542,8 @@ impl SubTerrainShape {
             Self::Box(_) | Self::Pit(_) | Self::Gap(_) | Self::Rails(_) | Self::FloatingRing(_) => blocks(6.0),
             Self::Star(c) => blocks(f64::from(c.num_bars) + 3.0),
             Self::Beams(c) => blocks(4.0 * f64::from(c.num_beams) + 3.0),
-            Self::RepeatedBoxes(c) => objects(c.object_params_start.num_objects, c.object_params_end.num_objects),
-            Self::RepeatedPyramids(c) | Self::RepeatedCylinders(c) => {
-                objects(c.object_params_start.num_objects, c.object_params_end.num_objects)
-            }
+            Self::RepeatedBoxes(c) => objects(c.most_objects()),
+            Self::RepeatedPyramids(c) | Self::RepeatedCylinders(c) => objects(c.most_objects()),
             Self::HfSteppingStones(c) => {
                 let pitch = c.stone_width_range[0] + c.stone_distance_range[0];
                 blocks((x / pitch + 2.0) * (y / pitch + 2.0))
@@ -578,16 +605,8 @@ impl SubTerrainShape {
             Self::FloatingRing(c) => (c.ring_width_range[1], c.platform_width),
             Self::Star(c) => (c.bar_width_range[1], c.platform_width),
             Self::Beams(c) => (c.border_width, c.platform_width),
-            Self::RepeatedBoxes(c) => {
-                let [a, b] = [&c.object_params_start, &c.object_params_end];
-                let reach = |o: &BoxObjectConfig| o.size[0].hypot(o.size[1]) + leaning(o.height, o.max_yx_angle);
-                (reach(a).max(reach(b)), c.platform_width)
-            }
-            Self::RepeatedPyramids(c) | Self::RepeatedCylinders(c) => {
-                let [a, b] = [&c.object_params_start, &c.object_params_end];
-                let reach = |o: &RoundObjectConfig| 2.0 * o.radius + leaning(o.height, o.max_yx_angle);
-                (reach(a).max(reach(b)), c.platform_width)
-            }
+            Self::RepeatedBoxes(c) => (c.widest(), c.platform_width),
+            Self::RepeatedPyramids(c) | Self::RepeatedCylinders(c) => (c.widest(), c.platform_width),
             Self::RandomRough(c) => (c.border_width, 0.0),
             Self::HfPyramidSlope(c) | Self::HfPyramidSlopeInv(c) => (c.border_width, c.platform_width),
             Self::HfDiscreteObstacles(c) => (c.border_width, c.platform_width.max(c.obstacle_width_range[1])),

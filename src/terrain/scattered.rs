@@ -3,7 +3,9 @@
 use super::mesh::Mesh;
 use super::tiles::{Level, both};
 use crate::components::EnvRng;
-use crate::config::{BeamsConfig, RepeatedBoxesConfig, RepeatedRoundConfig, StarConfig, StonesConfig};
+use crate::config::{
+    BeamsConfig, BoxObjectConfig, RepeatedObject, RepeatedObjectsConfig, RoundObjectConfig, StarConfig, StonesConfig,
+};
 use crate::dynamics::lanes::Real;
 
 /// Sides of a cylinder.
@@ -103,37 +105,37 @@ struct Objects {
     tilt: f64,
     /// Radius about its middle that holds an object, m.
     reach: f64,
-    /// Height at which objects begin, below the ground where they are tilted, m.
+    /// Height of their underside: below the ground, where they are tilted.
     root: f64,
     abs_noise: [f64; 2],
     rel_noise: [f64; 2],
     platform: f64,
+    /// Height of the platform; that of the objects if it is negative.
+    platform_height: f64,
 }
 
+/// Depth below the ground to which tilted objects reach, as a share of their radius: the tangent of
+/// the largest tilt.
+const ROOT: f64 = 1.8;
+
 impl Objects {
-    /// Objects of a level whose underside fits into a circle of `radius`, m. Number, height and
-    /// tilt (degrees) are given at the easiest and at the hardest level; noise as absolute, then
-    /// relative heights.
-    fn between(
-        level: &Level,
-        num_objects: [u32; 2],
-        height: [f64; 2],
-        max_tilt: [f64; 2],
-        radius: f64,
-        [abs_noise, rel_noise]: [[f64; 2]; 2],
-        platform: f64,
-    ) -> Self {
-        let height = level.rising(height);
-        let tilt = level.ratio(max_tilt).to_radians();
+    /// Objects of a level, whose middle is `radius` from their farthest point while they are
+    /// upright.
+    fn new<T: RepeatedObject>(c: &RepeatedObjectsConfig<T>, level: &Level, radius: f64) -> Self {
+        let (a, b) = (&c.object_params_start, &c.object_params_end);
+        let height = level.rising([a.height(), b.height()]);
+        let tilt = level.ratio([a.tilt(), b.tilt()]).to_radians();
+        let leaning = Real::sin_cos(tilt).0;
         Self {
-            count: level.ratio(num_objects.map(f64::from)).round() as u32,
+            count: level.ratio([a.count(), b.count()].map(f64::from)).round() as u32,
             height,
             tilt,
-            reach: radius + height * Real::sin_cos(tilt).0,
+            reach: radius + height * leaning,
             root: if tilt > 0.0 { -ROOT * radius } else { 0.0 },
-            abs_noise,
-            rel_noise,
-            platform,
+            abs_noise: c.abs_height_noise,
+            rel_noise: c.rel_height_noise,
+            platform: c.platform_width,
+            platform_height: c.platform_height,
         }
     }
 
@@ -142,14 +144,13 @@ impl Objects {
     fn mesh(
         &self,
         level: &Level,
-        platform_height: f64,
         rng: &mut EnvRng,
         draw: impl Fn(&mut Mesh, f64, &dyn Fn([f64; 3]) -> [f64; 3]),
     ) -> Mesh {
         let edges = level.half();
         let mut mesh = Mesh::terraces(&[(edges, 0.0)]);
         let half = level.snap(0.5 * self.platform);
-        let top = if platform_height < 0.0 { self.height } else { platform_height * level.scale };
+        let top = if self.platform_height < 0.0 { self.height } else { self.platform_height * level.scale };
         if top > 0.0 {
             mesh.pillar(both(half), both(half), [0.0, top]);
         }
@@ -182,47 +183,29 @@ impl Objects {
     }
 }
 
-/// Depth below the ground to which tilted objects reach, as a share of their radius: the tangent of
-/// the largest tilt.
-const ROOT: f64 = 1.8;
-
 /// Boxes at random places.
-pub(super) fn boxes(c: &RepeatedBoxesConfig, level: &Level, rng: &mut EnvRng) -> Mesh {
+pub(super) fn boxes(c: &RepeatedObjectsConfig<BoxObjectConfig>, level: &Level, rng: &mut EnvRng) -> Mesh {
     let (a, b) = (&c.object_params_start, &c.object_params_end);
     let size = [0, 1].map(|axis| level.ratio([a.size[axis], b.size[axis]]) * level.scale);
-    let objects = Objects::between(
-        level,
-        [a.num_objects, b.num_objects],
-        [a.height, b.height],
-        [a.max_yx_angle, b.max_yx_angle],
-        0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt(),
-        [c.abs_height_noise, c.rel_height_noise],
-        c.platform_width,
-    );
-    let root = objects.root;
-    objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
+    let objects = Objects::new(c, level, 0.5 * (size[0] * size[0] + size[1] * size[1]).sqrt());
+    objects.mesh(level, rng, |mesh, height, move_to| {
         let corners = |z: f64| {
             [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]].map(|[u, v]| move_to([u * size[0], v * size[1], z]))
         };
-        mesh.body(&corners(root), &corners(height));
+        mesh.body(&corners(objects.root), &corners(height));
     })
 }
 
 /// Pyramids of four sides, or cylinders of more, at random places.
-pub(super) fn round(c: &RepeatedRoundConfig, level: &Level, sides: usize, rng: &mut EnvRng) -> Mesh {
-    let (a, b) = (&c.object_params_start, &c.object_params_end);
-    let radius = level.rising([a.radius, b.radius]);
-    let objects = Objects::between(
-        level,
-        [a.num_objects, b.num_objects],
-        [a.height, b.height],
-        [a.max_yx_angle, b.max_yx_angle],
-        radius,
-        [c.abs_height_noise, c.rel_height_noise],
-        c.platform_width,
-    );
-    let root = objects.root;
-    objects.mesh(level, c.platform_height, rng, |mesh, height, move_to| {
+pub(super) fn round(
+    c: &RepeatedObjectsConfig<RoundObjectConfig>,
+    level: &Level,
+    sides: usize,
+    rng: &mut EnvRng,
+) -> Mesh {
+    let radius = level.rising([c.object_params_start.radius, c.object_params_end.radius]);
+    let objects = Objects::new(c, level, radius);
+    objects.mesh(level, rng, |mesh, height, move_to| {
         let corners = |z: f64| -> Vec<[f64; 3]> {
             let corner = |k: usize| {
                 let (sin, cos) = Real::sin_cos(std::f64::consts::TAU * k as f64 / sides as f64);
@@ -231,11 +214,11 @@ pub(super) fn round(c: &RepeatedRoundConfig, level: &Level, sides: usize, rng: &
             (0..sides).map(corner).collect()
         };
         if sides > 4 {
-            mesh.body(&corners(root), &corners(height));
+            mesh.body(&corners(objects.root), &corners(height));
         } else {
             let foot = corners(0.0);
-            if root < 0.0 {
-                mesh.body(&corners(root), &foot);
+            if objects.root < 0.0 {
+                mesh.body(&corners(objects.root), &foot);
             }
             mesh.pyramid(&foot, move_to([0.0, 0.0, height]));
         }

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use bevy_ecs::prelude::*;
 
 use crate::bounds::MAX_THREADS;
-use crate::dynamics::lanes::{self, Real, Simd, SimdDispatch};
+use crate::dynamics::lanes::{self, Real, Simd, SimdDispatch, SimdToken};
 use crate::thread_team::ThreadTeam;
 
 /// Something with rows that can be cut in two.
@@ -93,6 +93,7 @@ pub struct Workers {
     team: Option<ThreadTeam>,
     threads: usize,
     dispatch: SimdDispatch,
+    simd: SimdToken,
 }
 
 /// Least number of rows of a task; below it, starting a task costs more than it saves.
@@ -108,7 +109,7 @@ impl Workers {
     pub fn new(threads: usize, simd: Simd) -> Self {
         let threads = threads.max(1);
         let team = (threads > 1).then(|| ThreadTeam::new(threads - 1));
-        Self { team, threads, dispatch: simd.dispatch() }
+        Self { team, threads, dispatch: simd.dispatch(), simd: simd.token().unwrap_or(SimdToken::Portable) }
     }
 
     /// Workers with `threads` threads, all cores when absent. There are no more threads than pieces
@@ -121,6 +122,11 @@ impl Workers {
     /// Dispatcher into code compiled for the instruction set.
     pub fn dispatch(&self) -> SimdDispatch {
         self.dispatch
+    }
+
+    /// The instruction set, for kernels in lanes; plain code if this machine lacks it.
+    pub fn simd(&self) -> SimdToken {
+        self.simd
     }
 
     /// Threads at work, the caller's included.

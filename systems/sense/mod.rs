@@ -9,7 +9,6 @@ mod feet;
 mod height_scan;
 mod imu;
 pub(super) mod joint_descriptors;
-mod ray_cast;
 pub(super) mod ray_caster_camera;
 pub(super) mod scaled_descriptors;
 
@@ -28,7 +27,7 @@ use crate::components::{
 };
 use crate::config::TaskConfig;
 use crate::dynamics::Parameters;
-use crate::dynamics::lanes::Kernel;
+use crate::dynamics::lanes::{Kernel, SimdToken};
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::Workers;
@@ -60,6 +59,8 @@ pub struct SensedRobot<'a> {
     pub rng: &'a EnvRng,
     /// Length of a physics step, s.
     pub dt: f32,
+    /// Instruction set for kernels in lanes.
+    pub simd: SimdToken,
 }
 
 /// A sensor: the component that holds its reading.
@@ -171,10 +172,10 @@ impl<S: Sensor> Sensing<'_, '_, S> {
             return Ok(());
         }
         let (morphologies, dt) = (&self.morphologies, self.task.config.sim.dt);
-        let (ground, settings) = (&*self.ground, &self.settings.0);
+        let (ground, settings, simd) = (&*self.ground, &self.settings.0, self.workers.simd());
         let blocks = self.robots.read()?.zip(envs).zip(self.sensors.write_some()?);
         blocks.vectorize_chunks(&self.workers, |Block { morphology, rows, .. }| {
-            let common = Common { morphology: morphologies.get(morphology), ground, settings, dt, occasion };
+            let common = Common { morphology: morphologies.get(morphology), ground, settings, dt, simd, occasion };
             SensorRows { common, rows }
         });
         Ok(())
@@ -220,6 +221,7 @@ struct Common<'a, S: Sensor> {
     ground: &'a Ground,
     settings: &'a S::Settings,
     dt: f64,
+    simd: SimdToken,
     occasion: Occasion,
 }
 
@@ -249,7 +251,7 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
 
     #[inline(always)]
     fn run(self) {
-        let Self { common: Common { morphology, ground, settings, dt, occasion }, rows } = self;
+        let Self { common: Common { morphology, ground, settings, dt, simd, occasion }, rows } = self;
         let (((poses, velocities, joints, forces, bodies, stances), (origins, episodes, rngs)), sensors) = rows;
         let order = if S::READS_TERRAIN { ground.order_of_tiles(origins) } else { None };
         for k in 0..poses.len() {
@@ -266,6 +268,7 @@ impl<S: Sensor> Kernel<f32> for SensorRows<'_, S> {
                 ground,
                 rng: &rngs[row],
                 dt: dt as f32,
+                simd,
             };
             match occasion {
                 Occasion::Measure => sensors[row].measure(settings, &robot),

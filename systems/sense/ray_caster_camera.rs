@@ -2,14 +2,13 @@
 
 use std::sync::OnceLock;
 
-use super::ray_cast::HeightMap;
 use super::{SensedRobot, Sensor};
 use crate::blocks::BlockMarker;
 use crate::components::{CameraFrame, EnvRng, RayCasterCamera};
 use crate::config::{CameraMountConfig, ConfigError, DepthClipping, DepthData, RayCasterCameraConfig, TaskConfig};
 use crate::dynamics::lanes::Real;
 use crate::dynamics::math::{Mat3, Vec3, add, add_scaled, mul_mat, mul_vec, quat_to_mat};
-use crate::dynamics::{JointMotion, LARGE_GROUP};
+use crate::dynamics::{HeightBounds, JointMotion, LARGE_GROUP, Rays, cast_rays};
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
@@ -38,7 +37,7 @@ impl Sensor for RayCasterCamera {
 
     fn new(settings: &CameraSettings, _: &MorphologyModel) -> Self {
         Self {
-            depth: vec![0.0; settings.pixels.len()].into(),
+            depth: vec![0.0; settings.num_pixels()].into(),
             shown: None,
             late: Vec::new(),
             wait: 0,
@@ -76,7 +75,7 @@ impl Sensor for RayCasterCamera {
 
     #[inline(always)]
     fn renew(&mut self, settings: &CameraSettings, robot: &SensedRobot) {
-        self.depth = vec![0.0; settings.pixels.len()].into();
+        self.depth = vec![0.0; settings.num_pixels()].into();
         if let Some(frame) = self.shown.take() {
             self.show(frame, settings, robot);
         }
@@ -159,10 +158,11 @@ pub(in crate::systems) fn check(task: &TaskConfig, morphologies: &[MorphologyMod
 /// The camera of a task.
 pub struct CameraSettings {
     mount: Option<CameraMountConfig>,
-    /// Directions of the pixels in the camera's axes: y and z where x is 1, and their length.
-    pixels: Vec<[f32; 3]>,
-    /// Whether distances are along the rays, and not along the camera's axis.
-    is_along_ray: bool,
+    /// Directions of the pixels in the camera's axes, x, y and z, `[3][pixels]`: of length 1 where
+    /// distances are along the rays; else x is 1, and distances are along the camera's axis.
+    directions: [Vec<f32>; 3],
+    /// No ray reaches farther from the camera, m.
+    reach: f32,
     distance: [f32; 2],
     clipping: DepthClipping,
     /// Control steps between frames.
@@ -172,7 +172,7 @@ pub struct CameraSettings {
     drop: f32,
     /// Half widths of the noise, m and per m.
     noise: [f32; 2],
-    map: OnceLock<Option<HeightMap>>,
+    bounds: OnceLock<HeightBounds>,
 }
 
 impl CameraSettings {
@@ -186,23 +186,29 @@ impl CameraSettings {
         let tan_x = tangent(pattern.horizontal_fov);
         let tan_y = pattern.vertical_fov.map_or(tan_x * height as f64 / width as f64, tangent);
         let place = |index: usize, count: usize, tan: f64| tan * (1.0 - (2 * index + 1) as f64 / count as f64);
-        let pixel = |k: usize| {
-            let (y, z) = (place(k % width, width, tan_x), place(k / width, height, tan_y));
-            [y, z, (1.0 + y * y + z * z).sqrt()].map(|x| x as f32)
-        };
+        let is_along_ray = camera.data_type == DepthData::DistanceToCamera;
+        let pixel = |k: usize| [1.0, place(k % width, width, tan_x), place(k / width, height, tan_y)];
+        let length = |k: usize| pixel(k).iter().map(|x| x * x).sum::<f64>().sqrt();
+        let unit = |k: usize| if is_along_ray { length(k) } else { 1.0 };
+        let pixels = 0..width * height;
+        let farthest = pixels.clone().map(|k| length(k) / unit(k)).fold(0.0, f64::max);
         let steps = |time: f64| (time / step_dt).round().min(f64::from(u32::MAX)) as u32;
         Self {
             mount: camera.mount.clone(),
-            pixels: (0..width * height).map(pixel).collect(),
-            is_along_ray: camera.data_type == DepthData::DistanceToCamera,
+            directions: [0, 1, 2].map(|axis| pixels.clone().map(|k| (pixel(k)[axis] / unit(k)) as f32).collect()),
+            reach: (camera.max_distance * farthest) as f32,
             distance: [camera.min_distance as f32, camera.max_distance as f32],
             clipping: camera.depth_clipping_behavior,
             period: steps(camera.update_period).max(1),
             delay: camera.delay.map(steps),
             drop: camera.drop_probability as f32,
             noise: [camera.noise as f32, camera.relative_noise as f32],
-            map: OnceLock::new(),
+            bounds: OnceLock::new(),
         }
+    }
+
+    fn num_pixels(&self) -> usize {
+        self.directions[0].len()
     }
 
     /// Position in the frame of the ground and axes of a robot's camera.
@@ -226,40 +232,38 @@ impl CameraSettings {
     /// Writes the distances of a frame.
     #[inline(always)]
     fn render(&self, frame: &CameraFrame, robot: &SensedRobot, depth: &mut [f32]) {
-        let map = self.map.get_or_init(|| robot.ground.terrain.as_ref().map(|grid| HeightMap::new(grid)));
-        let ([least, most], r, from) = (self.distance, &frame.rotation, frame.position);
-        let is_pose = from.iter().all(|x| x.abs() < 1e5) && r.as_flattened().iter().all(|x| x.abs() < 1.1);
+        let ([least, most], rotation, position) = (self.distance, &frame.rotation, frame.position);
+        let is_pose = position.iter().all(|x| x.abs() < 1e5) && rotation.as_flattened().iter().all(|x| x.abs() < 1.1);
         if !is_pose {
             depth.fill(0.0);
             return;
         }
-        let farthest = self.pixels.iter().map(|[.., length]| *length).fold(0.0, f32::max);
-        let reach = if self.is_along_ray { most } else { most * farthest };
-        let source = map.as_ref().map(|map| map.source(from, reach));
-        let above = from[2] - robot.ground.height as f32;
+        let [x, y, z] = &self.directions;
+        if let Some(grid) = &robot.ground.terrain {
+            let bounds = self.bounds.get_or_init(|| HeightBounds::new(grid));
+            let (directions, reach) = ([&x[..], &y[..], &z[..]], self.reach);
+            let rays = Rays { grid, bounds, position, rotation, directions, end: most, reach, distances: depth };
+            cast_rays(robot.simd, rays);
+        } else {
+            let above = position[2] - robot.ground.height as f32;
+            let r = &rotation[2];
+            for (((x, y), z), depth) in x.iter().zip(y).zip(z).zip(&mut *depth) {
+                *depth = plane(above, r[0] * x + (r[1] * y + r[2] * z), most);
+            }
+        }
         let mut rng = frame.noise.clone();
-        for (pixels, depth) in self.pixels.chunks(LARGE_GROUP).zip(depth.chunks_mut(LARGE_GROUP)) {
+        for depth in depth.chunks_mut(LARGE_GROUP) {
             let mut noise = [0.0; LARGE_GROUP];
             if self.noise != [0.0; 2] {
                 rng.add_uniform([-1.0, 1.0], &mut noise);
             }
-            for ((&[y, z, length], depth), noise) in pixels.iter().zip(depth).zip(noise) {
-                // along the camera's axis the direction is 1: the distance is that to the image
-                // plane
-                let direction = [0, 1, 2].map(|k| r[k][0] + (r[k][1] * y + r[k][2] * z));
-                let length = if self.is_along_ray { length } else { 1.0 };
-                let end = most / length;
-                let met = match &source {
-                    Some(source) => source.cast(direction, end),
-                    None => plane(above, direction[2], end),
-                };
-                let seen = met.map_or(most, |met| {
-                    let exact = met * length;
-                    exact + noise * (self.noise[0] + self.noise[1] * exact)
-                });
+            for (depth, noise) in depth.iter_mut().zip(noise) {
+                let exact = *depth;
+                let is_met = exact < most;
+                let seen = exact + if is_met { noise * (self.noise[0] + self.noise[1] * exact) } else { 0.0 };
                 *depth = match self.clipping {
                     DepthClipping::Max => seen.max(least).min(most),
-                    DepthClipping::Zero if met.is_some() && seen >= least && seen <= most => seen,
+                    DepthClipping::Zero if is_met && seen >= least && seen <= most => seen,
                     DepthClipping::Zero => 0.0,
                 };
             }
@@ -267,13 +271,11 @@ impl CameraSettings {
     }
 }
 
-/// Distance at which a ray that starts `above` a level plane meets it, m.
+/// Distance at which a ray that starts `above` a level plane meets it, at most `end`, m.
 #[inline(always)]
-fn plane(above: f32, z: f32, end: f32) -> Option<f32> {
-    if above <= 0.0 {
-        return Some(0.0);
-    }
-    (z < -1e-9).then(|| above / -z).filter(|met| *met < end)
+fn plane(above: f32, z: f32, end: f32) -> f32 {
+    let met = if z < -1e-9 { above / -z } else { end };
+    if above <= 0.0 { 0.0 } else { met.min(end) }
 }
 
 /// Position and axes of a link about the base's origin, base axes.

@@ -10,6 +10,7 @@ use super::lanes::{self, Kernel, Lanes, Proof, Real, SimdDispatch, SimdToken};
 use super::math::{Mat3, Spatial, Vec3};
 use super::networks::NetworkStep;
 use super::parameters::Parameters;
+use super::ray_cast::Rays;
 use super::report;
 use super::report::Report;
 use super::self_contact;
@@ -234,4 +235,10 @@ impl Kernel<f32> for ForwardKinematics<'_> {
         let Self { topology, parameters, position, velocity, base_velocity, work } = self;
         kinematics::forward_kinematics(topology, parameters, position, velocity, base_velocity, work);
     }
+}
+
+/// Finds where rays meet the ground, in lanes of an instruction set. Bits depend on no set.
+#[cfg(not(test))]
+pub fn cast_rays(simd: SimdToken, rays: Rays) {
+    simd.with_sixteen_lanes(rays);
 }

@@ -25,6 +25,7 @@ pub mod math;
 mod networks;
 mod parameters;
 mod proximity;
+mod ray_cast;
 mod report;
 mod rows;
 mod self_contact;
@@ -46,13 +47,14 @@ pub use articulation::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar, WithKernels};
 #[cfg(not(test))]
-pub use kernels::{forward_kinematics, with_kernels};
+pub use kernels::{cast_rays, forward_kinematics, with_kernels};
 pub use kinematics::point_motion;
 pub use networks::{
     ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,
 };
 pub use parameters::Parameters;
 pub use polypod_lanes::{self as lanes, elementary};
+pub use ray_cast::{HeightBounds, Rays};
 pub use report::Report;
 pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;

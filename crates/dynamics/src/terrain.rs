@@ -6,11 +6,12 @@ use super::settings::{HEIGHT_SQUARES, MAX_SLOPE, MIN_DROP};
 
 /// Cells along each side of the squares in which heights are kept together, about as many as a page
 /// of memory holds.
-const PAGE: usize = 32;
+pub(super) const PAGE: usize = 32;
 /// Points along each side of a page: those at its far edges are its neighbours' first ones too, so
 /// that all corners of a cell are in one page.
-const EDGE: usize = PAGE + 1;
-const PAGE_POINTS: usize = EDGE * EDGE;
+pub(super) const EDGE: usize = PAGE + 1;
+/// Points of a page.
+pub(super) const PAGE_POINTS: usize = EDGE * EDGE;
 /// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner
 /// looks at.
 const GROUP: usize = 16;
@@ -29,9 +30,9 @@ pub struct HeightGrid {
     pub size: [usize; 2],
     /// Heights, m, page by page: what is near in the world is near in memory, whatever the
     /// direction.
-    points: Vec<f32>,
+    pub(super) points: Vec<f32>,
     /// Number of pages along y.
-    columns: usize,
+    pub(super) columns: usize,
     /// The largest height.
     pub highest: f32,
     /// See [`HEIGHT_SQUARES`].

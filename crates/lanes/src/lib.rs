@@ -65,6 +65,12 @@ pub trait Real:
     fn abs(self) -> Self;
     /// Nearest integer, ties to even.
     fn round(self) -> Self;
+    /// Largest integer that is not above the number.
+    #[inline(always)]
+    fn floor(self) -> Self {
+        let nearest = self.round();
+        Self::select(self.lt(nearest), nearest - Self::one(), nearest)
+    }
     /// `self < other`, false for NaN.
     fn lt(self, other: Self) -> Self::Mask;
     /// `yes` where the mask is true, else `no`.
@@ -75,6 +81,16 @@ pub trait Real:
     fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Logical and.
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// Logical not.
+    fn not(mask: Self::Mask) -> Self::Mask;
+    /// Number of lanes for which a mask is true.
+    fn count(mask: Self::Mask) -> usize;
+    /// Writes the lanes for which a mask is true to the first numbers of a slice, in their order.
+    /// The first [`Real::LANES`] numbers of the slice may all be overwritten.
+    ///
+    /// # Panics
+    /// If the slice is shorter than [`Real::LANES`].
+    fn store_some(self, mask: Self::Mask, to: &mut [f32]);
     /// Reads one lane in single precision.
     fn lane_f32(&self, lane: usize) -> f32;
     /// Writes one lane in single precision.
@@ -91,6 +107,23 @@ pub trait Real:
     /// # Panics
     /// If it is shorter than [`Real::LANES`].
     fn store(self, to: &mut [f32]);
+    /// Two neighbouring numbers of a table per lane: the number at `row * stride + column` and the
+    /// next one. Rows and columns are whole numbers from 0 to 2^24; every place is within the
+    /// table. Other places give unspecified numbers of the table.
+    ///
+    /// # Panics
+    /// If the table has fewer than two numbers.
+    #[inline(always)]
+    fn gather_pair(table: &[f32], row: Self, stride: u32, column: Self) -> [Self; 2] {
+        let (mut first, mut second) = (Self::zero(), Self::zero());
+        for lane in 0..Self::LANES {
+            let place = (row.lane_f32(lane) as u32).wrapping_mul(stride).wrapping_add(column.lane_f32(lane) as u32);
+            let place = (place as usize).min(table.len() - 2);
+            first.set_lane_f32(lane, table[place]);
+            second.set_lane_f32(lane, table[place + 1]);
+        }
+        [first, second]
+    }
     /// Two to the power of a whole number from -126 to 127.
     fn power_of_two(self) -> Self;
     /// Sine and cosine of an angle in radians.
@@ -181,6 +214,18 @@ macro_rules! impl_scalar {
             #[inline(always)]
             fn and(a: bool, b: bool) -> bool {
                 a & b
+            }
+            #[inline(always)]
+            fn not(mask: bool) -> bool {
+                !mask
+            }
+            #[inline(always)]
+            fn count(mask: bool) -> usize {
+                usize::from(mask)
+            }
+            #[inline(always)]
+            fn store_some(self, _: bool, to: &mut [f32]) {
+                to[0] = self as f32;
             }
             #[inline(always)]
             fn lane(&self, _: usize) -> f64 {
@@ -289,7 +334,73 @@ mod tests {
             let (s, k) = a.sin_cos();
             d[3] = a.mul_add(b, c) + a.neg_mul_add(b, c) * s - k / b.abs().max(S::splat(0.1));
             d[4] = S::select(a.lt(b), a.min(c), -b.max(c)) + (a * a).sqrt() + (b * S::splat(3.0)).round();
-            d[5] = S::select(S::or(a.lt(b), S::and(b.lt(c), c.lt(a))), s, k) + elementary::exp(b);
+            d[5] = S::select(S::or(a.lt(b), S::and(b.lt(c), S::not(a.lt(c)))), s, k) + elementary::exp(b);
+            let [first, second] = S::gather_pair(&TABLE, (a.abs() + b.abs()).floor(), 3, c.abs().floor());
+            d[4] = second.mul_add(a, d[4] + first);
+        }
+    }
+
+    /// Numbers that places of three times 16 plus 8 at most are gathered from.
+    const TABLE: [f32; 64] = {
+        let (mut table, mut k) = ([0.0; 64], 0);
+        while k < 64 {
+            table[k] = (k * k % 29) as f32 - 7.5;
+            k += 1;
+        }
+        table
+    };
+
+    struct Sorted<'a>(&'a [[f32; 3]]);
+    impl WithLanes for Sorted<'_> {
+        type Output = Vec<f32>;
+        fn run<L: Lanes>(self) -> Self::Output {
+            struct Sort<'a>(&'a [[f32; 3]], &'a mut Vec<f32>);
+            impl<S: Real> Kernel<S> for Sort<'_> {
+                type Output = ();
+                #[inline(always)]
+                fn run(self) {
+                    let mut room = vec![0.0; self.0.len() + S::LANES];
+                    let mut len = 0;
+                    for chunk in self.0.chunks_exact(S::LANES) {
+                        let (mut a, mut b) = (S::zero(), S::zero());
+                        for (lane, x) in chunk.iter().enumerate() {
+                            a.set_lane_f32(lane, x[0]);
+                            b.set_lane_f32(lane, x[1]);
+                        }
+                        a.store_some(a.lt(b), &mut room[len..]);
+                        len += S::count(a.lt(b));
+                    }
+                    self.1.extend_from_slice(&room[..len]);
+                }
+            }
+            let mut out = Vec::new();
+            L::vectorize(Sort(self.0, &mut out));
+            out
+        }
+    }
+
+    #[test]
+    fn lanes_of_a_mask_are_stored_in_their_order() {
+        let mut x = 7u32;
+        let mut next = || {
+            x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (x >> 8) as f32
+        };
+        let inputs: Vec<[f32; 3]> = (0..4096).map(|_| [next(), next(), next()]).collect();
+        let expected: Vec<f32> = inputs.iter().filter(|x| x[0] < x[1]).map(|x| x[0]).collect();
+        assert!(expected.len() > 1000 && expected.len() < 3000);
+        assert_eq!(expected, Sorted(&inputs).run::<f32>());
+        assert_eq!(expected, Sorted(&inputs).run::<Portable>());
+        for simd in Simd::available() {
+            let token = simd.token().expect("it is available");
+            assert_eq!(expected, token.with_sixteen_lanes(Sorted(&inputs)), "{simd:?}");
+        }
+    }
+
+    #[test]
+    fn floors_are_whole_and_not_above() {
+        for x in [-2.0f32, -1.5, -0.5, -1e-9, -0.0, 0.0, 0.49999997, 0.5, 1.0, 2.5, 3.999_999_8, 8_388_607.5] {
+            assert_eq!(Real::floor(x), f32::floor(x), "{x}");
         }
     }
 

@@ -62,6 +62,10 @@ impl<L: Real> Real for Pair<L> {
         Self(self.0.round(), self.1.round())
     }
     #[inline(always)]
+    fn floor(self) -> Self {
+        Self(self.0.floor(), self.1.floor())
+    }
+    #[inline(always)]
     fn lt(self, other: Self) -> Self::Mask {
         (self.0.lt(other.0), self.1.lt(other.1))
     }
@@ -80,6 +84,25 @@ impl<L: Real> Real for Pair<L> {
     #[inline(always)]
     fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask {
         (L::and(a.0, b.0), L::and(a.1, b.1))
+    }
+    #[inline(always)]
+    fn not(mask: Self::Mask) -> Self::Mask {
+        (L::not(mask.0), L::not(mask.1))
+    }
+    #[inline(always)]
+    fn count(mask: Self::Mask) -> usize {
+        L::count(mask.0) + L::count(mask.1)
+    }
+    #[inline(always)]
+    fn store_some(self, mask: Self::Mask, to: &mut [f32]) {
+        self.0.store_some(mask.0, to);
+        self.1.store_some(mask.1, &mut to[L::count(mask.0)..]);
+    }
+    #[inline(always)]
+    fn gather_pair(table: &[f32], row: Self, stride: u32, column: Self) -> [Self; 2] {
+        let [a, b] = L::gather_pair(table, row.0, stride, column.0);
+        let [c, d] = L::gather_pair(table, row.1, stride, column.1);
+        [Self(a, c), Self(b, d)]
     }
     #[inline(always)]
     fn lane_f32(&self, lane: usize) -> f32 {

@@ -91,6 +91,23 @@ impl Real for Portable {
         std::array::from_fn(|i| a[i] & b[i])
     }
     #[inline(always)]
+    fn not(mask: Self::Mask) -> Self::Mask {
+        mask.map(|is| !is)
+    }
+    #[inline(always)]
+    fn count(mask: Self::Mask) -> usize {
+        mask.into_iter().map(usize::from).sum()
+    }
+    #[inline(always)]
+    fn store_some(self, mask: Self::Mask, to: &mut [f32]) {
+        let to = &mut to[..PORTABLE_LANES];
+        let mut count = 0;
+        for (number, is_some) in self.0.into_iter().zip(mask) {
+            to[count] = number;
+            count += usize::from(is_some);
+        }
+    }
+    #[inline(always)]
     fn lane_f32(&self, lane: usize) -> f32 {
         self.0[lane]
     }

@@ -399,6 +399,17 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
     spec.option.impratio = 100.0  # feet do not creep
 
 
+def ground_alone(heights: Heights | None) -> Any:
+    """A compiled model of heights, or of a plane at height 0, and nothing else."""
+    mj = mujoco()
+    spec = mj.MjSpec()
+    if heights is None:
+        spec.worldbody.add_geom(type=mj.mjtGeom.mjGEOM_PLANE, size=[0.0, 0.0, 1.0])
+    else:
+        _height_field(mj, spec, heights)
+    return spec.compile()
+
+
 def surface_of(link: str, surfaces: tuple[Surface, ...]) -> Surface | None:
     """The surface of a link, if it differs from the rest of the robot."""
     found = (each for each in surfaces if any(fnmatchcase(link, pattern) for pattern in each.bodies))

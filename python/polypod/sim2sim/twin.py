@@ -12,9 +12,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod.accuracy.reference import Ground, Integrator, Reference
 from polypod.accuracy.robot import Robot
+from polypod.arrays import Array
+from polypod.sim2sim.camera import DepthCamera
 from polypod.sim2sim.driven import Drive, Driven, FoldedPolicy, Observed
 
 __all__ = ["Drive", "Driven", "FoldedPolicy", "Observed", "Physics", "Twin"]
@@ -64,3 +67,35 @@ class Twin(Driven):
         model.actuator_forcelimited[:] = 1
         names = [model.body(body).name for body in model.geom_bodyid]
         super().__init__(reference, robot, np.array([name in base_bodies for name in names]), physics.dt, drive)
+        self._camera = DepthCamera.of(self.interface, self.heights, self.step_dt, self.num_envs)
+
+    def reset(self, qpos: Array, qvel: Array) -> None:
+        """Begins in these states, [envs, nq] and [envs, nv]."""
+        super().reset(qpos, qvel)
+        if self._camera is not None:
+            for env in range(self.num_envs):
+                self._camera.begin(env, *self._link_pose(env, self._camera.body))
+
+    def step(self, commands: npt.NDArray[np.float32], active: npt.NDArray[np.bool_]) -> Observed:
+        """One control step towards `commands` [envs, 3].
+
+        Envs that are not `active` are left alone.
+        """
+        observed = super().step(commands, active)
+        if self._camera is not None:
+            for env in np.flatnonzero(active & np.isfinite(self.qpos).all(axis=1)).tolist():
+                self._camera.advance(env, *self._link_pose(env, self._camera.body))
+        return observed
+
+    def sensors(self) -> dict[str, Array]:
+        """Readings of the robot's sensors, named as the folded graph's inputs, [envs, size]."""
+        found = super().sensors()
+        return found if self._camera is None else found | {"image": self._camera.images()}
+
+    def _link_pose(self, env: int, link: str | None) -> tuple[Array, Array]:
+        """Position of a link's frame, m, and its axes as columns; None: of the base."""
+        model, data = self.reference.model, self._data[env]
+        # a step leaves the poses of the state before it
+        self._mj.mj_kinematics(model, data)
+        body = data.body(self.reference.root if link is None else link)
+        return np.array(body.xpos), np.array(body.xmat).reshape(3, 3)

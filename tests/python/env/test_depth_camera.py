@@ -5,7 +5,10 @@ import pytest
 
 import polypod
 from common import size
-from polypod import rotations
+from polypod import rotations, sim2sim
+from polypod.accuracy import robot as accuracy_robot
+from polypod.export import interfaces
+from polypod.sim2sim import twin
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -25,11 +28,11 @@ TILES = """[
  object_params_end={num_objects=20, height=0.4, size=[0.3, 0.5]}}]""".replace("\n", " ")
 
 
-def make(folder, task, robots, num_envs, mount, changes):
+def make(folder, task, robots, num_envs, mount, changes, keys=""):
     """A task whose observation is the image of a camera."""
     camera = (
         f"sensors.ray_caster_camera = {{mount={mount}, max_distance={MOST}, "
-        f"pattern_cfg={{width={WIDTH}, height={HEIGHT}, horizontal_fov={FOV}}}}}"
+        f"pattern_cfg={{width={WIDTH}, height={HEIGHT}, horizontal_fov={FOV}}}{keys}}}"
     )
     lines = [f"extends = '{task}'", "name = 'Camera-v0'", camera, "observations.policy = [{term='image'}]", *changes]
     (folder / "camera.toml").write_text("\n".join(lines))
@@ -77,12 +80,12 @@ def directions():
     return grid.reshape(-1, 3)
 
 
-def compare(env, robot, link, pos, rot):
+def compare(env, robot, link, pos, rot, images=None):
     """Differences of the images from MuJoCo's rays, m, and what 0.2 mm to a side changes."""
     sim = env.sim
     rays, local = Rays(sim), directions()
     places, quaternions = sim.link_pose(robot)
-    images = sim.observation_of("policy").reshape(sim.num_envs, -1)
+    images = sim.observation_of("policy").reshape(sim.num_envs, -1) if images is None else images
     differences, spreads = [], []
     for row, number in enumerate(range(*sim.env_ids(robot))):
         matrix = rotations.matrix(quaternions[row, link])
@@ -141,3 +144,87 @@ def test_a_camera_turns_with_its_link(tmp_path):
         env.step(np.random.default_rng(0).uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
     differences, spreads = compare(env, "unitree_g1", link, pos, PITCH)
     check(differences, spreads)
+
+
+class Standing:
+    """A folded policy that sees the image and holds the default pose."""
+
+    def __init__(self, interface):
+        """Holds the pose of a robot."""
+        self.inputs, self.pose = {"image": WIDTH * HEIGHT}, interface.default_pose
+        self.num_actions, self.seen = interface.num_actions, []
+
+    def __call__(self, *, image):
+        """Remembers the images."""
+        self.seen.append(image)
+        shape = (len(image), self.num_actions)
+        return {"joint_pos_target": np.tile(self.pose, (len(image), 1)), "actions": np.zeros(shape, np.float32)}
+
+    def reset(self):
+        """Remembers nothing else."""
+
+
+def twin_of(env, robot, folder):
+    """The robots of an env in MuJoCo, before their first reset, and their policy."""
+    sim = env.sim
+    manifest = {
+        "task": str(folder / "camera.toml"),
+        "robot_sources": {robot: robot},
+        "overrides": [],
+        "canonical_joint_names": sim.canonical_joint_names,
+        "observation_layout": [{"term": term, "size": count} for term, count in sim.observation_layout],
+    }
+    interface = interfaces(manifest, [robot])[robot]
+    policy, described = Standing(interface), accuracy_robot.of(sim, robot, robot)
+    drive = twin.Drive(
+        interface,
+        policy,
+        step_dt=sim.step_dt,
+        physics_dt=0.005,
+        delays=np.zeros((sim.num_envs, described.num_joints)),
+        heights=sim2sim.heights(sim),
+        places=sim.env_origins() * [1.0, 1.0, 0.0],
+    )
+    return twin.Twin(described, [], twin.Physics(dt=0.0025), drive), policy
+
+
+@pytest.mark.parametrize(
+    ("task", "robot", "body"),
+    [("velocity_rough_play", "unitree_go2", None), ("velocity_rough_humanoid", "unitree_g1", "torso_link")],
+)
+def test_a_robot_sees_the_same_in_mujoco(tmp_path, task, robot, body):
+    ground = ("scene.terrain.num_rows=1", "scene.terrain.num_cols=4", "scene.terrain.max_init_terrain_level=0")
+    pos = [0.2, 0.02, 0.3]
+    mount = f"{{{'' if body is None else f'body={body!r}, '}pos={pos}, rot={PITCH}}}"
+    env = make(tmp_path, task, [robot], 2, mount, ground)
+    for _ in range(10):
+        env.step(np.random.default_rng(0).uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+    made, _ = twin_of(env, robot, tmp_path)
+    made.reset(env.sim.qpos(robot), env.sim.qvel(robot))
+    images = made.sensors()["image"]
+    assert (images < MOST).mean() > 0.3
+    # the same numbers as MuJoCo's rays from polypod's pose, and so as polypod's image
+    link = 0 if body is None else env.sim.link_names(robot).index(body)
+    differences, spreads = compare(env, robot, link, np.array(pos), PITCH, images)
+    check(differences, spreads)
+    ours = env.sim.observation_of("policy").reshape(images.shape)
+    assert (np.abs(images - ours) > 1e-3).mean() < 0.01
+
+
+def test_frames_in_mujoco_are_held_and_late(tmp_path):
+    mount, keys = f"{{pos=[0.3, 0.0, 0.1], rot={PITCH}}}", ", update_period=0.06, delay=[0.0, 0.08]"
+    ground = ("scene.terrain.num_rows=1", "scene.terrain.num_cols=4", "scene.terrain.max_init_terrain_level=0")
+    env = make(tmp_path, "velocity_rough_play", ["unitree_go2"], 3, mount, ground, keys)
+    made, policy = twin_of(env, "unitree_go2", tmp_path)
+    made.reset(env.sim.qpos("unitree_go2"), env.sim.qvel("unitree_go2"))
+    fresh = [made.sensors()["image"]]
+    for _ in range(14):
+        made.step(np.zeros((3, 3), np.float32), np.ones(3, dtype=bool))
+        fresh.append(np.stack([made._camera.render(*made._link_pose(row, None)) for row in range(3)]))
+    # a frame in every third step, at another step for each env, is shown two steps later
+    for row in range(3):
+        shown = 0
+        for step, seen in enumerate(policy.seen):
+            if step >= 3 + row and (step - 3 - row) % 3 == 0:
+                shown = step - 2
+            np.testing.assert_array_equal(seen[row], fresh[shown][row], err_msg=f"env {row}, step {step}")
