@@ -304,7 +304,7 @@ pub struct RoundObjectConfig {
 }
 
 /// An object that stands about.
-pub(crate) trait RepeatedObject {
+pub trait RepeatedObject {
     /// Number of such objects.
     fn count(&self) -> u32;
     /// Its height.

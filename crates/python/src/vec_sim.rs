@@ -4,21 +4,18 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use bevy_ecs::prelude::Mut;
-use numpy::{
-    Element, IntoPyArray, PyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray, PyReadonlyArray2,
-    PyUntypedArray, PyUntypedArrayMethods,
-};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
 use super::arrays::{BatchArrays, array, read_only, rows, shaped, view};
 use super::exceptions::{
-    Guarded, fault_exception, optional_pair, optional_whole, to_python, type_error, unsigned, value_error, whole,
+    Guarded, fault_exception, optional_pair, optional_whole, to_python, unsigned, value_error, whole,
 };
 use super::rows::{StateArguments, env_ids, force_steps, in_world, numbers};
 use super::terrain;
-use polypod::components::{Command, EnvId, EnvOrigin, Episode};
+use polypod::components::{Command, EnvId, Episode};
 use polypod::config::{POLICY_GROUP, VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig};
 use polypod::morphology::{Morphologies, MorphologyModel};
 use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
