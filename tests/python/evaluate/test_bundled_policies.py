@@ -8,14 +8,13 @@ from polypod.evaluation import evaluate_checkpoint, walking, why_not
 WALKS = {
     "flat": ["anymal_d", "anymal_b", "unitree_go2"],
     "rough": ["anymal_c", "unitree_go1", "unitree_go2"],
-    "legged": ["unitree_a1", "unitree_b1", "box_quadruped", "anymal_b_kinova", "phantomx"],
+    "legged": ["unitree_a1", "unitree_b1", "phantomx", "unitree_h1", "unitree_g1", "cassie", "booster_t1"],
     "quadruped": ["unitree_go1", "unitree_b2", "solo12", "box_quadruped"],
 }
-"""Robots of each; of `legged` on four and six legs, with eight to 18 joints, of `quadruped` of 2.5
-to 75 kg."""
+"""Robots of each; of `legged` on two, four and six legs, of `quadruped` of 2.5 to 75 kg."""
 FALLS_SHORT = {
     "flat": ("spot", {"drift", "yaw drift"}),
-    "legged": ("booster_t1", {"turn", "yaw error"}),
+    "legged": ("bolt", {"falls"}),
     "quadruped": ("spot", {"drift"}),
 }
 """A robot of each that does not walk, and what it does not keep."""
@@ -33,7 +32,7 @@ def test_it_walks(name):
 @pytest.mark.parametrize("name", FALLS_SHORT)
 def test_a_robot_that_does_not_walk_is_found_out(name):
     robot, missed = FALLS_SHORT[name]
-    found = evaluate_checkpoint(bundled.checkpoint(name), [robot], num_envs=8, threads=2)
+    found = evaluate_checkpoint(bundled.checkpoint(name), [robot], num_envs=16, threads=2)
     assert missed <= set(walking.faults(found.robots[robot].walking))
 
 

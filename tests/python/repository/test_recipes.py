@@ -1,4 +1,4 @@
-"""A recipe trains its stages in order, goes on where it ended, and its model becomes a bundled policy."""
+"""A recipe trains its stages, goes on where it ended, and its model becomes a bundled policy."""
 
 import json
 import subprocess
