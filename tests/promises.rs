@@ -83,6 +83,7 @@ mod tasks_run_on_avian;
 mod terminations_have_a_bit_each;
 mod terms_describe_themselves;
 mod terms_of_any_body_match_their_formulas;
+mod the_device_has_the_bits_of_the_cpu;
 mod thread_count_does_not_change_bits;
 mod tiles_are_what_their_numbers_say;
 mod units_are_plausible;
