@@ -29,8 +29,12 @@ import ptx
 
 DECIMATION = 4
 """Physics steps of a control step in the reference."""
-THREADS = 64
+THREADS = 32
 """Threads of a block of the kernel."""
+TILE = 32
+"""Robots of a tile."""
+LISTED_SIZE = 4
+"""Numbers of a listed contact: its number and its impulse."""
 SCENES = ("plane", "rough", "slope", "stand", "move")
 Arrays = dict[str, np.ndarray]
 
@@ -168,9 +172,9 @@ class Arguments(ctypes.Structure):
     """`Block` of `crates/cuda/device/step.cu`."""
 
     _fields_ = [
-        *((name, ctypes.c_uint64) for name in ("integers", "numbers", "parameters", "state", "drive")),
-        *((name, ctypes.c_uint64) for name in ("grid", "report", "touched", "work", "work_integers")),
-        *((name, ctypes.c_int) for name in ("robots", "shared", "first", "end")),
+        *((name, ctypes.c_uint64) for name in ("integers", "numbers", "parameters", "drive", "state")),
+        *((name, ctypes.c_uint64) for name in ("report", "grid", "work", "work_integers")),
+        *((name, ctypes.c_int) for name in ("robots", "shared", "capacity", "first", "end")),
     ]
 
 
@@ -180,35 +184,35 @@ class Robots:
     def __init__(self, device: Device, arrays: Arrays, copies: int = 1) -> None:
         """Uploads them."""
         self.device, self.arrays, self.copies = device, arrays, copies
-        envs, shared, work, work_integers, self.steps, self.steps_of_drive = (int(x) for x in arrays["sizes"])
+        envs, shared, work, work_integers, steps, steps_of_drive, self.capacity = (int(x) for x in arrays["sizes"])
+        self.steps, self.steps_of_drive = steps, steps_of_drive
         self.envs, self.robots = envs, envs * copies
-        self.sizes = {name: arrays[f"last.{name}"].size // envs for name in ("state", "report", "touched")}
-        parameters = arrays["parameters"] if shared else self.columns(arrays["parameters"])
+        self.sizes = {name: arrays[f"last.{name}"].size // envs for name in ("state", "report")}
+        parameters = arrays["parameters"] if shared else self.tiles(arrays["parameters"])
         drives = [arrays[f"drive.{k}"] for k in range(-(-self.steps // self.steps_of_drive))]
-        self.drives = [device.place(self.columns(drive)) for drive in drives]
+        self.drives = [device.place(self.tiles(drive)) for drive in drives]
         self.pointers = {
             "integers": device.place(arrays["integers"]),
             "numbers": device.place(arrays["numbers"]),
             "parameters": device.place(parameters),
-            "state": device.place(self.columns(arrays["state"])),
+            "state": device.place(self.tiles(arrays["state"])),
             "grid": device.place(arrays["grid"]),
             "report": device.allocate(self.sizes["report"] * self.robots),
-            "touched": device.allocate(self.sizes["touched"] * self.robots),
             "work": device.allocate(work * self.robots),
             "work_integers": device.allocate(work_integers * self.robots),
         }
         self.words = {"work": work + work_integers, "integers": arrays["integers"].size, **self.sizes}
-        self.arguments = Arguments(robots=self.robots, shared=shared)
+        self.arguments = Arguments(robots=self.robots, shared=shared, capacity=self.capacity)
         for name, pointer in self.pointers.items():
             setattr(self.arguments, name, pointer.value)
 
-    def columns(self, array: np.ndarray) -> np.ndarray:
-        """Columns of all copies."""
-        return np.tile(array.reshape(-1, self.envs), (1, self.copies))
+    def tiles(self, array: np.ndarray) -> np.ndarray:
+        """Tiles of all copies: `[tile][number][robot of the tile]`."""
+        return np.tile(array, self.copies)
 
     def restart(self) -> None:
         """Gives the robots their first states again."""
-        self.device.upload(self.pointers["state"], self.columns(self.arrays["state"]))
+        self.device.upload(self.pointers["state"], self.tiles(self.arrays["state"]))
 
     def step(
         self,
@@ -230,15 +234,22 @@ class Robots:
             )
 
     def read(self, name: str) -> np.ndarray:
-        """Columns of the device, as integers."""
-        return same_nan(self.device.download(self.pointers[name], self.sizes[name] * self.robots))
+        """Tiles of the device, as integers, without numbers behind the ends of lists."""
+        words = same_nan(self.device.download(self.pointers[name], self.sizes[name] * self.robots))
+        if name == "state":
+            tiles = words.reshape(-1, self.sizes[name], TILE)
+            length = self.sizes[name] - 1 - LISTED_SIZE * self.capacity
+            counts, listed = tiles[:, length, :].view(np.float32), tiles[:, length + 1 :, :]
+            entries = np.arange(LISTED_SIZE * self.capacity) // LISTED_SIZE
+            listed[entries[None, :, None] >= counts[:, None, :]] = 0
+        return words
 
     def differing(self) -> dict[str, int]:
         """Numbers that differ after the last step, by array; every copy is looked at."""
         found = {}
         for name in self.sizes:
-            last = same_nan(self.columns(self.arrays[f"last.{name}"].view(np.int32)))
-            found[name] = int((self.read(name).reshape(last.shape) != last).sum())
+            last = same_nan(self.tiles(self.arrays[f"last.{name}"].view(np.int32)))
+            found[name] = int((self.read(name) != last).sum())
         return found
 
     def free(self) -> None:
@@ -250,7 +261,7 @@ class Robots:
 def compare(device: Device, kernel: Kernel, name: str, arrays: Arrays) -> str:
     """Steps a block and compares it after each control step. Returns what differs first, or ''."""
     robots = Robots(device, arrays)
-    expected = arrays["checksums"].view(np.uint32).reshape(-1, 3)
+    expected = arrays["checksums"].view(np.uint32).reshape(-1, 2)
     problem = ""
     for step in range(robots.steps):
         # launches of single physics steps give the same bits
@@ -261,7 +272,7 @@ def compare(device: Device, kernel: Kernel, name: str, arrays: Arrays) -> str:
                 problem = problem or f"{part} differs after control step {step}"
     differing = {part: count for part, count in robots.differing().items() if count}
     if differing and not problem:
-        problem = "checksums agree, and the last columns do not"
+        problem = "checksums agree, and the last tiles do not"
     robots.free()
     return f"{name}: {problem}, at the end {differing}" if problem else ""
 

@@ -1586,5 +1586,8 @@ def join_snapshots(parts: Sequence[bytes]) -> bytes:
     Raises ConfigError for bytes that are none, and for shares that do not follow one another.
     """
 
+def cuda() -> str:
+    """Whether the engine `cuda` can be used on this machine, and why not: one line."""
+
 def info() -> CoreInfo:
     """The version, the instruction set in use and the number of threads."""

@@ -20,7 +20,7 @@ use crate::components::{
 };
 use crate::config::{ConfigError, Layers, LoadedRobot, LoadedTask, NetworkFile, RobotConfig, TaskConfig, parse_params};
 use crate::dynamics::lanes::Simd;
-use crate::engine::{Motion, Violation};
+use crate::engine::{Engines, Motion, Violation};
 use crate::error::Error;
 use crate::files;
 use crate::hash::fnv1a;
@@ -166,6 +166,10 @@ impl Dump {
             layers: Layers::default(),
         };
         config.sim.decimation = 1;
+        // a machine without the card steps the same bits
+        if let Some(engine) = Engines::default().of(&config).ok().and_then(|engine| engine.bits_of()) {
+            config.physics.engine = engine.into();
+        }
         // physics knows no terms; those of the task may not even be registered here
         config.observations.policy.clear();
         config.observations.groups.clear();

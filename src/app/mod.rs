@@ -21,6 +21,7 @@ use crate::bounds::MAX_ACTION;
 use crate::components::{Body, Command, CommandNumbers, CurriculumProgress, EnvId, EnvRng, Episode, Morphology};
 use crate::config::{LoadedRobot, LoadedTask, VelocityCommandConfig};
 use crate::dynamics::lanes::Simd;
+use crate::engine::Engines;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
@@ -232,9 +233,26 @@ impl Sim {
 
     /// Task and robots after layers, overrides and defaults, as TOML.
     pub fn resolved_config(&self) -> String {
+        self.config_with(|_| ())
+    }
+
+    /// The same text for engines with the same bits: it names the one whose bits they are.
+    fn config_of_bits(&self) -> String {
+        let engine =
+            self.world.get_resource::<Engines>().and_then(|engines| engines.of(&self.task().config).ok()?.bits_of());
+        self.config_with(|task| {
+            if let (Some(engine), Some(toml::Value::Table(physics))) = (engine, task.get_mut("physics")) {
+                physics.insert("engine".into(), engine.into());
+            }
+        })
+    }
+
+    fn config_with(&self, edit: impl FnOnce(&mut toml::Table)) -> String {
         let robots = self.loaded_robots().iter().map(|r| (r.config.name.clone(), r.resolved.clone().into())).collect();
+        let mut task = self.loaded_task().resolved.clone();
+        edit(&mut task);
         let mut all = toml::Table::new();
-        all.insert("task".into(), self.loaded_task().resolved.clone().into());
+        all.insert("task".into(), task.into());
         all.insert("robots".into(), toml::Value::Table(robots));
         all.to_string()
     }
@@ -243,7 +261,7 @@ impl Sim {
     /// that decides the simulation, except the seed and the number of envs.
     pub fn config_hash(&self) -> u64 {
         let urdfs = self.loaded_robots().iter().map(|robot| robot.urdf_text.as_str());
-        let text: String = std::iter::once(self.resolved_config().as_str()).chain(urdfs).collect();
+        let text: String = std::iter::once(self.config_of_bits().as_str()).chain(urdfs).collect();
         crate::hash::fnv1a(text.as_bytes())
     }
 

@@ -126,7 +126,7 @@ pub const AVIAN_SUBSTEPS: usize = 8;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhysicsConfig {
-    /// Name of the engine: `articulated`, `avian`, or one that a plugin has added. Default:
+    /// Name of the engine: `articulated`, `cuda`, `avian`, or one that a plugin has added. Default:
     /// articulated.
     pub engine: String,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.

@@ -344,7 +344,7 @@ impl<R> BlockList<R> {
     }
 
     /// Blocks that are in order.
-    fn new(blocks: impl Iterator<Item = Block<R>>) -> Self {
+    pub(crate) fn new(blocks: impl Iterator<Item = Block<R>>) -> Self {
         let mut most_envs = 0;
         let count = |block: &Block<R>| most_envs += block.envs.len();
         let blocks: Vec<Option<Block<R>>> = blocks.inspect(count).map(Some).collect();

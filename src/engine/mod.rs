@@ -2,6 +2,7 @@
 
 pub(crate) mod articulated;
 pub(crate) mod avian;
+mod cuda;
 mod divergence;
 mod limits;
 mod registry;
@@ -23,6 +24,7 @@ use crate::workers::Workers;
 use articulated::Packs;
 use avian::{AvianRobots, EngineError};
 
+pub use cuda::{OnDevice, describe_card, search_packages};
 pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};

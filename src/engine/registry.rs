@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use bevy_ecs::prelude::Resource;
 
-use super::{Engine, EngineChoice, MorphologySetup, TaskEngine, make};
+use super::{Engine, EngineChoice, MorphologySetup, OnDevice, TaskEngine, make};
 use crate::blocks::BlockSizes;
 use crate::config::{ConfigError, ConfigErrorKind, TaskConfig, did_you_mean};
 use crate::dynamics::lanes::Simd;
@@ -52,6 +52,16 @@ impl EngineSetup<'_> {
         }
     }
 
+    /// The plane of the ground, under the terrain if there is some.
+    pub(super) fn plane(&self) -> Option<Plane> {
+        Some(Plane::level(self.ground.height))
+    }
+
+    /// The articulated engine on the CPU.
+    pub(super) fn make_articulated(&self) -> Result<Box<dyn Engine>, Error> {
+        self.make(EngineChoice::Articulated(self.simd, self.ground.terrain.clone()), self.plane())
+    }
+
     fn make(&self, choice: EngineChoice, plane: Option<Plane>) -> Result<Box<dyn Engine>, Error> {
         let blocks = self.morphologies.iter().zip(&self.blocks.0);
         let setups: Vec<MorphologySetup<f32>> =
@@ -79,6 +89,12 @@ pub trait EngineFactory: Send + Sync + 'static {
         false
     }
 
+    /// The engine whose bits this one has: snapshots and checkpoints of one are the other's.
+    /// Default: no other.
+    fn bits_of(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Number of pieces of work that threads can share; no more threads than pieces are made.
     /// Default: one for each env.
     fn pieces(&self, blocks: &BlockSizes) -> usize {
@@ -103,6 +119,7 @@ impl Default for Engines {
         let mut engines = Self(BTreeMap::new());
         engines.add("articulated", Articulated);
         engines.add("avian", Avian);
+        engines.add("cuda", OnDevice::card());
         engines
     }
 }
@@ -144,8 +161,7 @@ impl EngineFactory for Articulated {
     }
 
     fn make(&self, setup: &EngineSetup) -> Result<Box<dyn Engine>, Error> {
-        let choice = EngineChoice::Articulated(setup.simd, setup.ground.terrain.clone());
-        setup.make(choice, Some(Plane::level(setup.ground.height)))
+        setup.make_articulated()
     }
 }
 

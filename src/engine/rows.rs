@@ -120,6 +120,11 @@ macro_rules! robot_slices {
                 Self { origins, $($name,)* }
             }
 
+            /// The same slices, for a shorter time.
+            pub(crate) fn reborrow(&mut self) -> RobotSlices<'_> {
+                RobotSlices { origins: self.origins, $($name: &mut *self.$name,)* }
+            }
+
             /// Prefetches the memory of a row.
             #[inline]
             fn prefetch_row(&self, row: usize) {

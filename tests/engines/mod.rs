@@ -6,4 +6,5 @@ mod links_have_mirrors_in_avians_world;
 mod plugins_can_be_replaced;
 mod simulation_api;
 mod tasks_run_on_avian;
+mod the_device_has_the_bits_of_the_cpu;
 mod viewers_see_what_happens;

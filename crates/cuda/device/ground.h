@@ -53,10 +53,8 @@ CALLED void add_spin(Robot *a, int contact, const float *frame) {
     float difference = (product[1] - product[2]) * 0.5f;
     float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
     w_store(a, spin + ROW_COUPLING, 3, product + 3);
-    for (int d = 0; d < 3; d++) {
-        W(spin + ROW_INVERSE + d) = 1.0f / max_(product[d], least);
-        W(spin + SPIN_IMPULSE + d) = S(T(S_IMPULSE) + 3 * (T(ROWS) + contact) + d);
-    }
+    for (int d = 0; d < 3; d++) W(spin + ROW_INVERSE + d) = 1.0f / max_(product[d], least);
+    last_impulse(a, T(ROWS) + contact, spin + SPIN_IMPULSE);
     W(spin + SPIN_ROLL) = 1.0f / max_(fma_(product[1] + product[2], 0.5f, radius), least);
     a->num_spins += 1;
 }
@@ -143,7 +141,7 @@ FN void build_ground_contacts(Robot *a, const float *free_base) {
                 int bounces = (approach < TC(BOUNCE_SPEED)) & (gap < -(approach * TC(DT)));
                 if (bounces) bounce = -(approach * restitution);
             }
-            add_contact(a, separation(a, gap, inverse_dt), bounce, T(S_IMPULSE) + 3 * c);
+            add_contact(a, c, separation(a, gap, inverse_dt), bounce);
             if (T(FRICTION)) add_spin(a, c, axes);
         }
     }

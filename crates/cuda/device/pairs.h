@@ -282,7 +282,7 @@ FN void touch_pair(Robot *a, int pair, float margin) {
         if (!(found.gap < reach_in_step(a, TC(PAIR_REACH), now, free))) continue;
         int contact = T(at + 6) + i;
         build_pair(a, pair, contact, &found);
-        add_contact(a, separation(a, found.gap, 1.0f / TC(DT)), NO_TARGET, T(S_IMPULSE) + 3 * contact);
+        add_contact(a, contact, separation(a, found.gap, 1.0f / TC(DT)), NO_TARGET);
     }
 }
 

@@ -306,16 +306,25 @@ CALLED void finish_rows(Robot *a, float compliance) {
     W(row + ROW_SOFTNESS) = softness;
 }
 
+/* Writes the impulse of a contact in the last physics step, zero if it was not there, from column
+ * `at` of the workspace on. */
+FN void last_impulse(Robot *a, int contact, int at) {
+    int list = T(I_PRESSING), found = -1;
+    for (int i = 0; i < I(list); i++)
+        if (I(list + 1 + i) == contact) found = i;
+    for (int d = 0; d < 3; d++) W(at + d) = found < 0 ? 0.0f : W(T(W_PRESSING) + 3 * found + d);
+}
+
 /* Adds the rows that were built as a contact that separates at least at the speeds `target`, which
- * may push out, and `bounce`. `impulse` is its first column of the state. */
-FN void add_contact(Robot *a, float target, float bounce, int impulse) {
+ * may push out, and `bounce`. */
+FN void add_contact(Robot *a, int contact, float target, float bounce) {
     int row = ROW(a->num_contacts);
     a->violation = max_(a->violation, target);
     W(row + ROW_TARGET) = max_(min_(target, 0.0f), bounce);
     W(row + ROW_PUSH) = target;
     W(row + ROW_PUSH_IMPULSE) = 0.0f;
     W(row + ROW_LAST_CHANGE) = 0.0f;
-    for (int d = 0; d < 3; d++) W(row + ROW_IMPULSE + d) = S(impulse + d);
+    last_impulse(a, contact, row + ROW_IMPULSE);
     a->num_contacts += 1;
 }
 #endif

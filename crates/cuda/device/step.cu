@@ -7,43 +7,46 @@ typedef struct {
     const int *integers;
     const float *numbers;
     const float *parameters;
-    float *state;
     const float *drive;
-    const float *grid;
+    float *state;
     float *report;
-    int *touched;
+    const float *grid;
     float *work;
     int *work_integers;
     int robots;
-    int shared; /* whether all robots read one list of parameters */
-    int first;  /* physics steps of the control step: first to end */
+    int shared;   /* whether all robots read one list of parameters */
+    int capacity; /* contacts that the state's list has room for */
+    int first;    /* physics steps of the control step: first to end */
     int end;
 } Block;
 
-FN void step_robot(const Block *block, size_t e) {
+/* Where the columns of a robot begin: in its tile, at its place. */
+FN size_t place(int e, int size) { return (size_t)(e / TILE) * TILE * size + e % TILE; }
+
+FN void step_robot(const Block *block, int e) {
     Robot robot, *a = &robot;
-    a->n = (size_t)block->robots;
     a->t = block->integers;
     a->c = block->numbers;
-    a->p = block->shared ? block->parameters : block->parameters + e;
-    a->ps = block->shared ? 1 : a->n;
-    a->s = block->state + e;
-    a->d = block->drive + e;
+    a->p = block->parameters + (block->shared ? 0 : place(e, T(SIZE_PARAMETERS)));
+    a->ps = block->shared ? 1 : TILE;
+    a->d = block->drive + place(e, T(SIZE_DRIVE));
+    a->s = block->state + place(e, T(SIZE_STATE) + LISTED_SIZE * block->capacity);
+    a->r = block->report + place(e, T(SIZE_REPORT));
     a->grid = block->grid;
-    a->r = block->report + e;
-    a->ri = block->touched + e;
-    a->w = block->work + e;
-    a->wi = block->work_integers + e;
+    a->w = block->work + place(e, T(SIZE_WORK));
+    a->wi = block->work_integers + place(e, T(SIZE_WORK_INTEGERS));
+    take_pressing(a, block->capacity);
     control_step(a, block->first, block->end);
+    list_pressing(a, block->capacity);
 }
 
 #ifdef __CUDACC__
 KERNEL void polypod_control_step(Block block) {
-    size_t e = (size_t)blockIdx.x * blockDim.x + threadIdx.x;
-    if (e < (size_t)block.robots) step_robot(&block, e);
+    int e = (int)(blockIdx.x * blockDim.x + threadIdx.x);
+    if (e < block.robots) step_robot(&block, e);
 }
 #else
 void polypod_control_step(const Block *block) {
-    for (int e = 0; e < block->robots; e++) step_robot(block, (size_t)e);
+    for (int e = 0; e < block->robots; e++) step_robot(block, e);
 }
 #endif

@@ -168,24 +168,26 @@ FN void report_contacts(Robot *a, int substep, int last) {
             S(T(S_BOUND) + T(BLOCK_AT(b) + i)) = takes_part ? bound_impulse(a, b, i) + 0.0f : 0.0f;
         }
     }
-    for (int k = 0; k < 3 * (T(ROWS) + T(SPINS)); k++) S(T(S_IMPULSE) + k) = 0.0f;
+    int list = T(I_PRESSING);
+    I(list) = a->num_contacts + a->num_spins;
     for (int i = 0; i < a->num_contacts; i++) {
-        int contact = ROW_CONTACT(i), bodies[2], num = contact_bodies(a, i, bodies);
-        for (int d = 0; d < 3; d++) {
-            impulse[d] = W(ROW(i) + ROW_IMPULSE + d) + 0.0f;
-            S(T(S_IMPULSE) + 3 * contact + d) = impulse[d];
-        }
+        int bodies[2], num = contact_bodies(a, i, bodies);
+        I(list + 1 + i) = ROW_CONTACT(i);
+        for (int d = 0; d < 3; d++) impulse[d] = W(ROW(i) + ROW_IMPULSE + d) + 0.0f;
+        w_store(a, T(W_PRESSING) + 3 * i, 3, impulse);
         for (int k = 0; k < num; k++) {
             R(normal_force + bodies[k]) = fma_(impulse[0], inverse_dt, R(normal_force + bodies[k]));
             TOUCHED(bodies[k]) = 1;
         }
     }
-    for (int i = 0; i < a->num_spins; i++)
-        for (int d = 0; d < 3; d++)
-            S(T(S_IMPULSE) + 3 * (T(ROWS) + ROW_CONTACT(i)) + d) = W(SPIN(i) + SPIN_IMPULSE + d) + 0.0f;
+    for (int i = 0; i < a->num_spins; i++) {
+        int k = a->num_contacts + i;
+        I(list + 1 + k) = T(ROWS) + ROW_CONTACT(i);
+        for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * k + d) = W(SPIN(i) + SPIN_IMPULSE + d) + 0.0f;
+    }
     if (!last) return;
     for (int k = 0; k < 3 * T(BODIES); k++) R(T(R_BODY_FORCE) + k) = 0.0f;
-    for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) R(T(R_DEMANDS) + k) = 0.0f;
+    for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) W(T(W_DEMANDS) + k) = 0.0f;
     for (int i = 0; i < a->num_contacts; i++) {
         int bodies[2], num = contact_bodies(a, i, bodies);
         float f[3], sum[3], frame[9], axis[3];
@@ -204,12 +206,12 @@ FN void report_contacts(Robot *a, int substep, int last) {
             for (int d = 0; d < 3; d++) sum[d] = R(at + d);
             for (int d = 0; d < 3; d++) add_scaled(sum, frame + 3 * d, f[d], sum);
             for (int d = 0; d < 3; d++) R(at + d) = sum[d];
-            R(T(R_DEMANDS) + bodies[k]) = 1.0f;
+            W(T(W_DEMANDS) + bodies[k]) = 1.0f;
         }
     }
     for (int b = 0; b < T(BLOCKS); b++)
-        if (BLOCK_LIMITS(b)) R(T(R_DEMANDS) + T(BODIES) + b) = 1.0f;
-    R(T(R_DEMANDS) + T(BODIES) + T(BLOCKS)) = 0.0f < a->violation ? 1.0f : 0.0f;
+        if (BLOCK_LIMITS(b)) W(T(W_DEMANDS) + T(BODIES) + b) = 1.0f;
+    W(T(W_DEMANDS) + T(BODIES) + T(BLOCKS)) = 0.0f < a->violation ? 1.0f : 0.0f;
 }
 
 /* Takes over the new velocities, and moves positions with them and the push. */
@@ -301,6 +303,36 @@ FN void physics_step(Robot *a, int substep) {
     solve(a);
     report_contacts(a, substep, substep + 1 == T(DECIMATION));
     integrate(a);
+}
+
+/* Takes over the impulses of the state's list, which has room for `capacity` of them. */
+FN void take_pressing(Robot *a, int capacity) {
+    int count = (int)S(T(S_PRESSING)), list = T(I_PRESSING);
+    count = count < capacity ? count : capacity;
+    I(list) = count;
+    for (int i = 0; i < count; i++) {
+        int at = T(S_PRESSING) + 1 + LISTED_SIZE * i;
+        I(list + 1 + i) = (int)S(at);
+        for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * i + d) = S(at + 1 + d);
+    }
+}
+
+/* Writes the impulses that are not zero to the state's list, as many as it has room for, and their
+ * number. */
+FN void list_pressing(Robot *a, int capacity) {
+    int count = 0, list = T(I_PRESSING);
+    for (int i = 0; i < I(list); i++) {
+        float impulse[3];
+        w_load(a, T(W_PRESSING) + 3 * i, 3, impulse);
+        if (impulse[0] == 0.0f && impulse[1] == 0.0f && impulse[2] == 0.0f) continue;
+        if (count < capacity) {
+            int at = T(S_PRESSING) + 1 + LISTED_SIZE * count;
+            S(at) = (float)I(list + 1 + i);
+            for (int d = 0; d < 3; d++) S(at + 1 + d) = impulse[d];
+        }
+        count++;
+    }
+    S(T(S_PRESSING)) = (float)count;
 }
 
 /* The physics steps `first` to `end` of a control step. */

@@ -1,11 +1,14 @@
-/* Layout of the tables and columns. crates/cuda/src/layout.rs states the same order; a test compares
- * the two. A column is one number of every robot of a block, contiguous: [number][env]. */
+/* Layout of the tables and columns. The build script turns it into constants of Rust. The robots of a
+ * block are in tiles of TILE robots, the threads of a warp: [tile][number][robot of the tile], so that
+ * a warp reads one line of memory at a time and a number's place is a constant. A column is one number
+ * of the robots of a tile, contiguous. */
 #ifndef POLYPOD_TABLES_H
 #define POLYPOD_TABLES_H
 #include "numbers.h"
 
 /* Integers at the beginning of the integer table: sizes, settings, then where lists begin. */
 enum Integer {
+    SIZE_PARAMETERS, SIZE_STATE, SIZE_DRIVE, SIZE_REPORT, SIZE_WORK, SIZE_WORK_INTEGERS,
     FLOATING, JOINTS, BLOCKS, CONTACTS, ROWS, SPINS, BODIES, SITES, TREES, STRIDE, FRICTION, HAS_SURFACES,
     HAS_SPRINGS, HAS_DELAY, AGES, PAIRS, GROUPS, COLLIDERS, DECIMATION, ITERATIONS, MEASURES, CHECK_INTERVAL,
     MAX_EXTRA_ROUNDS, SWEEPS_PER_ROUND, LIMIT_SWEEPS, PUSH_SWEEPS, HAS_GROUND, LINK_FORCES,
@@ -24,14 +27,16 @@ enum Integer {
     P_COLLIDER_CENTRE, P_COLLIDER_HALF, P_COLLIDER_RADIUS, P_SITE_POSITION, P_STATIC_FRICTION,
     P_DYNAMIC_FRICTION, P_RESTITUTION, P_TORSIONAL_FRICTION, P_ROLLING_FRICTION,
     /* columns of the state, the drive and the report */
-    S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_IMPULSE, S_BOUND,
+    /* the last column of the state is a list: its length, then LISTED_SIZE numbers of each contact */
+    S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_BOUND, S_PRESSING,
     D_TARGET, D_DELAY, D_FEEDFORWARD, D_FORCE, D_TORQUE, D_ORIGIN, D_LINK_FORCE,
-    R_EFFORT, R_ACCELERATION, R_BODY_FORCE, R_NORMAL_FORCE, R_DEMANDS, R_SITE_POSITION, R_SITE_VELOCITY,
+    R_EFFORT, R_ACCELERATION, R_BODY_FORCE, R_NORMAL_FORCE, R_SITE_POSITION, R_SITE_VELOCITY,
     /* columns of the workspace */
     W_LINK, W_DYNAMICS, W_BIAS, W_FACTOR, W_COUPLING, W_ROOT, W_RHS, W_EFFORT, W_SLOPE, W_TARGET, W_JOINTS, W_MOVED,
     W_ROW, W_FURTHER, W_SPIN, W_SPIN_FURTHER, W_BOUND, W_BOUND_FURTHER, W_COLLIDER, W_LINK_BOX,
+    W_PRESSING, W_DEMANDS,
     /* columns of integers of the workspace */
-    I_ROW, I_BOUND, I_PLACED,
+    I_ROW, I_BOUND, I_PLACED, I_PRESSING, I_TOUCHED,
     NUM_INTEGERS
 };
 
@@ -48,6 +53,8 @@ enum Number {
 
 /* Sizes of the entries of lists. */
 enum Size {
+    TILE = 32,
+    LISTED_SIZE = 4,  /* contact, impulse */
     JOINT_SIZE = 6,   /* parent, slides, axis (3: any), explicit, effort table (0: none), its length */
     AXIS_SIZE = 4,    /* direction, sign */
     BLOCK_SIZE = 7,   /* joints (3), length, number of carriers, first carrier, first coupling */
@@ -80,12 +87,11 @@ typedef struct {
     const int *t;   /* table of integers */
     const float *c; /* table of numbers */
     const float *p; /* parameters: of its own, or shared by the block */
-    size_t ps;
+    int ps;         /* from one parameter to the next */
     float *s, *r, *w; /* state, report, workspace */
     const float *d;   /* drive */
     const float *grid; /* heights [x][y], then the squares' largest heights */
-    int *ri, *wi;     /* touched bodies; integers of the workspace */
-    size_t n;         /* robots of the block */
+    int *wi;          /* integers of the workspace */
     /* numbers of the present physics step that every part reads */
     float base_rotation[9], bias_base[6], velocity_base[6];
     float g[36], root[12]; /* base block of the factor, and roots of its diagonal */
@@ -96,13 +102,13 @@ typedef struct {
 
 #define T(k) (a->t[k])
 #define TC(k) (a->c[k])
-#define P(k) (a->p[(size_t)(k) * a->ps])
-#define S(k) (a->s[(size_t)(k) * a->n])
-#define D(k) (a->d[(size_t)(k) * a->n])
-#define R(k) (a->r[(size_t)(k) * a->n])
-#define W(k) (a->w[(size_t)(k) * a->n])
-#define I(k) (a->wi[(size_t)(k) * a->n])
-#define TOUCHED(k) (a->ri[(size_t)(k) * a->n])
+#define P(k) (a->p[(k) * a->ps])
+#define S(k) (a->s[(k) * TILE])
+#define D(k) (a->d[(k) * TILE])
+#define R(k) (a->r[(k) * TILE])
+#define W(k) (a->w[(k) * TILE])
+#define I(k) (a->wi[(k) * TILE])
+#define TOUCHED(k) I(T(I_TOUCHED) + (k))
 
 FN void p_load(const Robot *a, int at, int n, float *o) {
     for (int i = 0; i < n; i++) o[i] = P(at + i);

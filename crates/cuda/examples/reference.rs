@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The file is a list of arrays, each with its name, `scene/robot/array`. The state and the report
-//! after each control step are there as checksums, those after the last step as columns.
+//! after each control step are there as checksums, those after the last step as tiles.
 
 #[path = "../tests/scenes/mod.rs"]
 mod scenes;
@@ -68,28 +68,6 @@ fn bits(number: &f32) -> u32 {
     if number.is_nan() { f32::NAN.to_bits() } else { number.to_bits() }
 }
 
-/// Columns `[number][env]` of the lists of all robots.
-fn columns<T: Copy>(lists: &[Vec<T>]) -> Vec<T> {
-    let len = lists.first().map_or(0, Vec::len);
-    (0..len).flat_map(|k| lists.iter().map(move |list| list[k])).collect()
-}
-
-/// A state's numbers in the order of the columns.
-fn state_list(state: &State<f32>) -> Vec<f32> {
-    let base = state.position.iter().chain(&state.rotation).chain(&state.linear_velocity);
-    let joints = state.joint_position.iter().chain(&state.joint_velocity);
-    let impulses = state.impulse.as_flattened().iter().chain(&state.bound_impulse);
-    base.chain(&state.angular_velocity).chain(joints).chain(impulses).copied().collect()
-}
-
-/// A report's numbers in the order of the columns.
-fn report_list(report: &Report<f32>) -> Vec<f32> {
-    let joints = report.joint_effort.iter().chain(&report.joint_acceleration);
-    let forces = report.body_force.as_flattened().iter().chain(report.normal_force.iter().flatten());
-    let sites = report.site_position.as_flattened().iter().chain(report.site_velocity.as_flattened());
-    joints.chain(forces).chain(&report.demands).chain(sites).copied().collect()
-}
-
 /// A block of robots and the ground below them.
 struct Run<'a> {
     robot: &'a Robot,
@@ -127,15 +105,15 @@ impl Run<'_> {
         }
         let origins: Vec<[f32; 2]> = (0..ENVS).map(|_| [random.next(), random.next()]).collect();
         let mut reports = vec![Report::zeros(topology, settings.decimation); ENVS];
+        let empty = block.clone();
         let mut work = vec![Workspace::new(topology); ENVS];
         states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
+        let capacity = block.shape().capacity;
         let Parts { integers, numbers, parameters: all, state, grid, work: scratch, work_integers, shared, .. } =
             block.parts();
         let sizes = [ENVS, usize::from(shared), scratch.len() / ENVS, work_integers.len() / ENVS, self.steps];
-        arrays.integers(
-            "sizes",
-            &[sizes.as_slice(), &[STEPS_OF_DRIVE]].concat().iter().map(|&x| x as i32).collect::<Vec<_>>(),
-        )?;
+        let sizes = [sizes.as_slice(), &[STEPS_OF_DRIVE, capacity]].concat();
+        arrays.integers("sizes", &sizes.iter().map(|&x| x as i32).collect::<Vec<_>>())?;
         arrays.integers("integers", integers)?;
         arrays.floats("numbers", numbers)?;
         arrays.floats("parameters", all)?;
@@ -165,18 +143,17 @@ impl Run<'_> {
                 }
                 .run();
             }
-            let state = columns(&states.iter().map(state_list).collect::<Vec<_>>());
-            let report = columns(&reports.iter().map(report_list).collect::<Vec<_>>());
-            let touched: Vec<Vec<i32>> =
-                reports.iter().map(|report| report.touched.iter().map(|&x| i32::from(x)).collect()).collect();
-            let touched = columns(&touched);
+            let mut expected = empty.clone();
+            for (env, state) in states.iter().enumerate() {
+                expected.write_state(env, state);
+                expected.write_report(env, &reports[env]);
+            }
+            let Parts { state, report, .. } = expected.parts();
             checksums.push(crc32(state.iter().map(bits)) as i32);
             checksums.push(crc32(report.iter().map(bits)) as i32);
-            checksums.push(crc32(touched.iter().map(|&x| x as u32)) as i32);
             if step + 1 == self.steps {
-                arrays.floats("last.state", &state)?;
-                arrays.floats("last.report", &report)?;
-                arrays.integers("last.touched", &touched)?;
+                arrays.floats("last.state", state)?;
+                arrays.floats("last.report", report)?;
             }
         }
         arrays.integers("checksums", &checksums)

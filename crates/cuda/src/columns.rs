@@ -1,24 +1,298 @@
-//! Columns of a block of robots, `[number][env]`, and the way between them and the types of
-//! `polypod-dynamics`.
+//! Robots of one morphology in tiles of columns, `[tile][number][robot of the tile]`, and the way
+//! between them and the types of `polypod-dynamics`.
 
 use std::ops::Range;
 
 use polypod_dynamics::{Drive, Parameters, Report, State, StepSettings, Topology};
 
 use crate::layout::*;
-use crate::tables::{Scene, Sizes, Tables, Unsupported};
+use crate::tables::{Scene, Tables, Unsupported};
 
-/// Robots of one morphology, as the device sees them.
+/// Robots of a tile: the threads of a warp.
+pub const ROBOTS_OF_TILE: usize = TILE;
+
+/// Tables of a morphology, the number of its robots, and the room of their lists of impulses.
+#[derive(Clone, Debug)]
+pub struct Shape {
+    /// Tables of the morphology.
+    pub tables: Tables,
+    /// Number of robots, at least one.
+    pub robots: usize,
+    /// Contacts that the list of a robot's impulses has room for.
+    pub capacity: usize,
+}
+
+impl Shape {
+    /// The shape of a block; its lists have room for some contacts, or for all that there can be.
+    ///
+    /// # Errors
+    /// A feature that the device lacks.
+    pub fn new(
+        topology: &Topology,
+        settings: &StepSettings,
+        scene: &Scene,
+        robots: usize,
+        capacity: usize,
+    ) -> Result<Self, Unsupported> {
+        let tables = Tables::new(topology, settings, scene)?;
+        let capacity = capacity.min(tables.sizes.impulses);
+        Ok(Self { tables, robots: robots.max(1), capacity })
+    }
+
+    /// Number of tiles.
+    pub fn tiles(&self) -> usize {
+        self.robots.div_ceil(TILE)
+    }
+
+    /// Numbers of a robot's state with its list.
+    pub fn state_size(&self) -> usize {
+        self.tables.sizes.state + LISTED_SIZE * self.capacity
+    }
+
+    /// Ranges of drive, state and report in the memory that the host and the device exchange.
+    pub fn ranges(&self) -> [Range<usize>; 3] {
+        let [drive, state, report] = [self.tables.sizes.drive, self.state_size(), self.tables.sizes.report]
+            .map(|size| size * TILE * self.tiles());
+        [0..drive, drive..drive + state, drive + state..drive + state + report]
+    }
+
+    /// Numbers that the host and the device exchange.
+    pub fn exchanged(&self) -> usize {
+        self.ranges()[2].end
+    }
+
+    /// Numbers of scratch memory, and integers.
+    pub fn scratch(&self) -> [usize; 2] {
+        [self.tables.sizes.work, self.tables.sizes.work_integers].map(|size| size * TILE * self.tiles())
+    }
+
+    /// Physics steps of a control step.
+    pub fn decimation(&self) -> usize {
+        self.tables.at(DECIMATION)
+    }
+
+    /// The tiles of a block.
+    pub fn columns<'a>(&'a self, exchanged: &'a mut [f32]) -> Columns<'a> {
+        let [drive, state, _] = self.ranges().map(|range| range.len());
+        let (drive, rest) = exchanged.split_at_mut(drive);
+        let (state, report) = rest.split_at_mut(state);
+        Columns { shape: self, drive, state, report }
+    }
+
+    /// Numbers that differ from robot to robot, of all robots, where all have the same ones.
+    pub fn spread(&self, parameters: &[f32]) -> Vec<f32> {
+        let tile = parameters.iter().flat_map(|&number| [number; TILE]);
+        std::iter::repeat_n(tile, self.tiles()).flatten().collect()
+    }
+
+    /// The part of separate parameters that holds a robot's tile.
+    pub fn parameters_of_tile(&self, tile: usize) -> Range<usize> {
+        let size = self.tables.sizes.parameters * TILE;
+        tile * size..(tile + 1) * size
+    }
+
+    /// Writes a robot's parameters among those of all robots.
+    pub fn write_parameters(&self, all: &mut [f32], robot: usize, parameters: &[f32]) {
+        write(&mut all[self.parameters_of_tile(robot / TILE)][robot % TILE..], parameters);
+    }
+}
+
+/// Numbers of a robot that begin in the first place of these columns.
+#[inline]
+fn write<'a>(columns: &mut [f32], numbers: impl IntoIterator<Item = &'a f32>) {
+    for (place, number) in columns.iter_mut().step_by(TILE).zip(numbers) {
+        *place = *number;
+    }
+}
+
+#[inline]
+fn read<'a>(columns: &[f32], numbers: impl IntoIterator<Item = &'a mut f32>) {
+    for (number, place) in numbers.into_iter().zip(columns.iter().step_by(TILE)) {
+        *number = *place;
+    }
+}
+
+/// Columns of neighbouring tiles of a block: drive and state, which the device reads, and state
+/// and report, which it writes.
+pub struct Columns<'a> {
+    shape: &'a Shape,
+    drive: &'a mut [f32],
+    state: &'a mut [f32],
+    report: &'a mut [f32],
+}
+
+/// Motion of a robot.
+pub struct Motion<P, J> {
+    /// Position of the base, m.
+    pub position: P,
+    /// Rotation of the base.
+    pub rotation: J,
+    /// Velocity of the base, m/s and rad/s.
+    pub velocity: [P; 2],
+    /// Positions of the joints, rad or m.
+    pub joints: J,
+    /// Velocities of the joints.
+    pub joint_velocities: J,
+    /// Impulses of limits and dry friction, N m s.
+    pub bounds: J,
+}
+
+impl<'a> Columns<'a> {
+    /// The first tiles, and the rest.
+    #[must_use]
+    pub fn split_at(self, tiles: usize) -> (Self, Self) {
+        let Self { shape, drive, state, report } = self;
+        let (drive, drives) = drive.split_at_mut(tiles * TILE * shape.tables.sizes.drive);
+        let (state, states) = state.split_at_mut(tiles * TILE * shape.state_size());
+        let (report, reports) = report.split_at_mut(tiles * TILE * shape.tables.sizes.report);
+        (Self { shape, drive, state, report }, Self { shape, drive: drives, state: states, report: reports })
+    }
+
+    #[inline]
+    fn state_place(&self, robot: usize, name: usize) -> usize {
+        (robot / TILE * self.shape.state_size() + self.shape.tables.at(name)) * TILE + robot % TILE
+    }
+
+    #[inline]
+    fn drive_place(&self, robot: usize, name: usize) -> usize {
+        (robot / TILE * self.shape.tables.sizes.drive + self.shape.tables.at(name)) * TILE + robot % TILE
+    }
+
+    #[inline]
+    fn report_place(&self, robot: usize, name: usize, at: usize) -> usize {
+        (robot / TILE * self.shape.tables.sizes.report + self.shape.tables.at(name) + at) * TILE + robot % TILE
+    }
+
+    /// Writes a robot's motion.
+    #[inline]
+    pub fn write_motion(&mut self, robot: usize, motion: &Motion<&[f32], &[f32]>) {
+        for (name, numbers) in [
+            (S_POSITION, motion.position),
+            (S_ROTATION, motion.rotation),
+            (S_LINEAR, motion.velocity[0]),
+            (S_ANGULAR, motion.velocity[1]),
+            (S_JOINT, motion.joints),
+            (S_JOINT_VELOCITY, motion.joint_velocities),
+            (S_BOUND, motion.bounds),
+        ] {
+            let at = self.state_place(robot, name);
+            write(&mut self.state[at..], numbers);
+        }
+    }
+
+    /// Reads a robot's motion.
+    #[inline]
+    pub fn read_motion(&self, robot: usize, motion: Motion<&mut [f32], &mut [f32]>) {
+        let [linear, angular] = motion.velocity;
+        for (name, numbers) in [
+            (S_POSITION, motion.position),
+            (S_ROTATION, motion.rotation),
+            (S_LINEAR, linear),
+            (S_ANGULAR, angular),
+            (S_JOINT, motion.joints),
+            (S_JOINT_VELOCITY, motion.joint_velocities),
+            (S_BOUND, motion.bounds),
+        ] {
+            read(&self.state[self.state_place(robot, name)..], numbers);
+        }
+    }
+
+    /// Writes the impulses from which the solver starts, as many as the list has room for.
+    #[inline]
+    pub fn write_impulses(&mut self, robot: usize, impulses: impl Iterator<Item = (u32, [f32; 3])>) {
+        let first = self.state_place(robot, S_PRESSING);
+        let mut count = 0;
+        for (contact, [x, y, z]) in impulses.take(self.shape.capacity) {
+            write(&mut self.state[first + TILE * (1 + LISTED_SIZE * count)..], &[contact as f32, x, y, z]);
+            count += 1;
+        }
+        self.state[first] = count as f32;
+    }
+
+    /// Number of contacts that press; more than the list's room if it was too small.
+    #[inline]
+    pub fn num_impulses(&self, robot: usize) -> usize {
+        self.state[self.state_place(robot, S_PRESSING)] as usize
+    }
+
+    /// Contacts that press, in rising order, and their impulses, as many as the list has room for.
+    #[inline]
+    pub fn impulses(&self, robot: usize) -> impl Iterator<Item = (u32, [f32; 3])> + '_ {
+        let first = self.state_place(robot, S_PRESSING);
+        (0..self.num_impulses(robot).min(self.shape.capacity)).map(move |i| {
+            let mut entry = [0.0; LISTED_SIZE];
+            read(&self.state[first + TILE * (1 + LISTED_SIZE * i)..], &mut entry);
+            (entry[0] as u32, [entry[1], entry[2], entry[3]])
+        })
+    }
+
+    /// Writes the targets of a control step, the newest first, and their delays, physics steps.
+    #[inline]
+    pub fn write_targets<'b>(&mut self, robot: usize, targets: impl Iterator<Item = &'b f32>, delays: &[f32]) {
+        let at = self.drive_place(robot, D_TARGET);
+        write(&mut self.drive[at..], targets);
+        let at = self.drive_place(robot, D_DELAY);
+        write(&mut self.drive[at..], delays);
+    }
+
+    /// Writes efforts that are added to those of the gains, N m.
+    #[inline]
+    pub fn write_feedforward(&mut self, robot: usize, efforts: &[f32]) {
+        let at = self.drive_place(robot, D_FEEDFORWARD);
+        write(&mut self.drive[at..], efforts);
+    }
+
+    /// Writes the force and torque on the base, and where the env's origin is in the grid's frame.
+    #[inline]
+    pub fn write_surroundings(&mut self, robot: usize, force: &[f32; 3], torque: &[f32; 3], origin: &[f32; 2]) {
+        let at = self.drive_place(robot, D_FORCE);
+        write(&mut self.drive[at..], force.iter().chain(torque).chain(origin));
+    }
+
+    /// Writes the force on a link: the place of its key in the [`Scene`], whether it acts, its
+    /// point, force and torque.
+    #[inline]
+    pub fn write_link_force(&mut self, robot: usize, key: usize, acts: f32, vectors: [&[f32; 3]; 3]) {
+        let at = self.drive_place(robot, D_LINK_FORCE) + TILE * LINK_FORCE_SIZE * key;
+        write(&mut self.drive[at..], std::iter::once(&acts).chain(vectors.into_iter().flatten()));
+    }
+
+    /// Reads efforts and accelerations of the joints.
+    #[inline]
+    pub fn read_joints(&self, robot: usize, efforts: &mut [f32], accelerations: &mut [f32]) {
+        read(&self.report[self.report_place(robot, R_EFFORT, 0)..], efforts);
+        read(&self.report[self.report_place(robot, R_ACCELERATION, 0)..], accelerations);
+    }
+
+    /// The force on a body in the last physics step, world axes, N.
+    #[inline]
+    pub fn body_force(&self, robot: usize, body: usize) -> [f32; 3] {
+        let mut force = [0.0; 3];
+        read(&self.report[self.report_place(robot, R_BODY_FORCE, 3 * body)..], &mut force);
+        force
+    }
+
+    /// The sum of the normal forces on a body in a physics step, N.
+    #[inline]
+    pub fn normal_force(&self, robot: usize, step: usize, body: usize) -> f32 {
+        self.report[self.report_place(robot, R_NORMAL_FORCE, step * self.shape.tables.at(BODIES) + body)]
+    }
+
+    /// Reads positions, m, and velocities of the sites, m/s.
+    #[inline]
+    pub fn read_sites(&self, robot: usize, positions: &mut [[f32; 3]], velocities: &mut [[f32; 3]]) {
+        read(&self.report[self.report_place(robot, R_SITE_POSITION, 0)..], positions.as_flattened_mut());
+        read(&self.report[self.report_place(robot, R_SITE_VELOCITY, 0)..], velocities.as_flattened_mut());
+    }
+}
+
+/// Robots of one morphology in the memory of the host, as the device sees them.
 #[derive(Clone, Debug)]
 pub struct Block {
-    tables: Tables,
-    robots: usize,
+    shape: Shape,
     parameters: Vec<f32>,
     shared: bool,
-    state: Vec<f32>,
-    drive: Vec<f32>,
-    report: Vec<f32>,
-    touched: Vec<i32>,
+    exchanged: Vec<f32>,
     work: Vec<f32>,
     work_integers: Vec<i32>,
 }
@@ -29,44 +303,31 @@ pub struct Parts<'a> {
     pub integers: &'a [i32],
     /// Table of numbers.
     pub numbers: &'a [f32],
-    /// Parameters: a column each, or one list for all robots.
+    /// Parameters: tiles, or one list for all robots.
     pub parameters: &'a [f32],
-    /// Columns of the state.
-    pub state: &'a mut [f32],
-    /// Columns of the drive.
+    /// Tiles of the drive.
     pub drive: &'a [f32],
+    /// Tiles of the state.
+    pub state: &'a mut [f32],
+    /// Tiles of the report.
+    pub report: &'a mut [f32],
     /// Heights of the ground; empty on a plane.
     pub grid: &'a [f32],
-    /// Columns of the report.
-    pub report: &'a mut [f32],
-    /// Whether each body has touched something, a column each.
-    pub touched: &'a mut [i32],
-    /// Columns of scratch memory.
+    /// Tiles of scratch memory.
     pub work: &'a mut [f32],
-    /// Columns of integers of scratch memory.
+    /// Tiles of integers of scratch memory.
     pub work_integers: &'a mut [i32],
     /// Number of robots.
     pub robots: usize,
     /// Whether all robots read one list of parameters.
     pub shared: bool,
-}
-
-/// Writes a robot's numbers into columns.
-fn write<'a, T: Copy + 'a>(columns: &mut [T], robots: usize, env: usize, numbers: impl IntoIterator<Item = &'a T>) {
-    for (column, number) in columns.chunks_exact_mut(robots).zip(numbers) {
-        column[env] = *number;
-    }
-}
-
-/// Reads a robot's numbers out of columns.
-fn read<'a, T: Copy + 'a>(columns: &[T], robots: usize, env: usize, numbers: impl IntoIterator<Item = &'a mut T>) {
-    for (column, number) in columns.chunks_exact(robots).zip(numbers) {
-        *number = column[env];
-    }
+    /// Contacts that the list of impulses has room for.
+    pub capacity: usize,
 }
 
 impl Block {
-    /// Robots at rest at the origin, with all numbers zero. `robots` is at least one.
+    /// Robots at rest at the origin, with all numbers zero and room for all impulses. `robots` is
+    /// at least one.
     ///
     /// # Errors
     /// A feature that the device lacks.
@@ -76,28 +337,38 @@ impl Block {
         scene: &Scene,
         robots: usize,
     ) -> Result<Self, Unsupported> {
-        let tables = Tables::new(topology, settings, scene)?;
-        let robots = robots.max(1);
-        let Sizes { state, drive, report, touched, work, work_integers, .. } = tables.sizes;
-        let mut block = Self {
-            robots,
+        let shape = Shape::new(topology, settings, scene, robots, usize::MAX)?;
+        let mut block = Self::of_shape(shape);
+        (0..block.robots()).for_each(|robot| block.write_state(robot, &State::zeros(topology)));
+        Ok(block)
+    }
+
+    /// Memory of a shape, all zero.
+    pub fn of_shape(shape: Shape) -> Self {
+        let [work, work_integers] = shape.scratch();
+        Self {
             parameters: Vec::new(),
             shared: false,
-            state: vec![0.0; state * robots],
-            drive: vec![0.0; drive * robots],
-            report: vec![0.0; report * robots],
-            touched: vec![0; touched * robots],
-            work: vec![0.0; work * robots],
-            work_integers: vec![0; work_integers * robots],
-            tables,
-        };
-        (0..robots).for_each(|env| block.write_state(env, &State::zeros(topology)));
-        Ok(block)
+            exchanged: vec![0.0; shape.exchanged()],
+            work: vec![0.0; work],
+            work_integers: vec![0; work_integers],
+            shape,
+        }
     }
 
     /// Number of robots.
     pub fn robots(&self) -> usize {
-        self.robots
+        self.shape.robots
+    }
+
+    /// Tables and sizes.
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// The tiles of drive, state and report.
+    pub fn columns(&mut self) -> Columns<'_> {
+        self.shape.columns(&mut self.exchanged)
     }
 
     /// Gives all robots the same parameters, which are held once.
@@ -107,87 +378,143 @@ impl Block {
     }
 
     /// Gives a robot its own parameters.
-    pub fn write_parameters(&mut self, env: usize, parameters: &Parameters<f32>) {
+    pub fn write_parameters(&mut self, robot: usize, parameters: &Parameters<f32>) {
         if self.shared || self.parameters.is_empty() {
-            let size = self.tables.sizes.parameters;
-            let common = if self.shared { std::mem::take(&mut self.parameters) } else { vec![0.0; size] };
-            self.parameters = common.iter().flat_map(|&number| std::iter::repeat_n(number, self.robots)).collect();
+            let zeros = || vec![0.0; self.shape.tables.sizes.parameters];
+            let common = if self.shared { std::mem::take(&mut self.parameters) } else { zeros() };
+            self.parameters = self.shape.spread(&common);
             self.shared = false;
         }
-        write(&mut self.parameters, self.robots, env, &list(parameters));
+        self.shape.write_parameters(&mut self.parameters, robot, &list(parameters));
+    }
+
+    /// Takes over parameters as lists: one for all robots, or the tiles of all.
+    pub fn set_parameters(&mut self, parameters: &[f32], shared: bool) {
+        (self.parameters, self.shared) = (parameters.to_vec(), shared);
     }
 
     /// Writes a robot's state.
-    pub fn write_state(&mut self, env: usize, state: &State<f32>) {
-        let base = state.position.iter().chain(&state.rotation).chain(&state.linear_velocity);
-        let joints = state.joint_position.iter().chain(&state.joint_velocity);
-        let impulses = state.impulse.as_flattened().iter().chain(&state.bound_impulse);
-        let numbers = base.chain(&state.angular_velocity).chain(joints).chain(impulses);
-        write(&mut self.state, self.robots, env, numbers);
+    pub fn write_state(&mut self, robot: usize, state: &State<f32>) {
+        let mut columns = self.shape.columns(&mut self.exchanged);
+        columns.write_motion(
+            robot,
+            &Motion {
+                position: &state.position,
+                rotation: &state.rotation,
+                velocity: [&state.linear_velocity, &state.angular_velocity],
+                joints: &state.joint_position,
+                joint_velocities: &state.joint_velocity,
+                bounds: &state.bound_impulse,
+            },
+        );
+        let impulses = state.impulse.iter().enumerate().filter(|(_, impulse)| impulse.iter().any(|&x| x != 0.0));
+        columns.write_impulses(robot, impulses.map(|(contact, &impulse)| (contact as u32, impulse)));
     }
 
     /// Reads a robot's state.
-    pub fn read_state(&self, env: usize, state: &mut State<f32>) {
-        let base = state.position.iter_mut().chain(&mut state.rotation).chain(&mut state.linear_velocity);
-        let joints = state.joint_position.iter_mut().chain(&mut state.joint_velocity);
-        let impulses = state.impulse.as_flattened_mut().iter_mut().chain(&mut state.bound_impulse);
-        let numbers = base.chain(&mut state.angular_velocity).chain(joints).chain(impulses);
-        read(&self.state, self.robots, env, numbers);
+    pub fn read_state(&mut self, robot: usize, state: &mut State<f32>) {
+        let columns = self.shape.columns(&mut self.exchanged);
+        columns.read_motion(
+            robot,
+            Motion {
+                position: &mut state.position,
+                rotation: &mut state.rotation,
+                velocity: [&mut state.linear_velocity, &mut state.angular_velocity],
+                joints: &mut state.joint_position,
+                joint_velocities: &mut state.joint_velocity,
+                bounds: &mut state.bound_impulse,
+            },
+        );
+        state.impulse.fill([0.0; 3]);
+        columns.impulses(robot).for_each(|(contact, impulse)| state.impulse[contact as usize] = impulse);
         state.find_pressing();
     }
 
     /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its
     /// forces on links are those with the keys of the block's [`Scene`], in their order.
-    pub fn write_drive(&mut self, env: usize, drive: &Drive<f32>, origin: [f32; 2]) {
-        let targets = drive.targets.iter().flatten().chain(&drive.delay).chain(&drive.feedforward);
-        let base = drive.base_force.iter().chain(&drive.base_torque).chain(&origin);
-        let forces = drive.link_forces.iter().flat_map(|force| {
-            std::iter::once(&force.acts).chain(&force.point).chain(&force.force).chain(&force.torque)
-        });
-        write(&mut self.drive, self.robots, env, targets.chain(base).chain(forces));
+    pub fn write_drive(&mut self, robot: usize, drive: &Drive<f32>, origin: [f32; 2]) {
+        let mut columns = self.shape.columns(&mut self.exchanged);
+        columns.write_targets(robot, drive.targets.iter().flatten(), &drive.delay);
+        columns.write_feedforward(robot, &drive.feedforward);
+        columns.write_surroundings(robot, &drive.base_force, &drive.base_torque, &origin);
+        for (key, force) in drive.link_forces.iter().enumerate() {
+            columns.write_link_force(robot, key, force.acts, [&force.point, &force.force, &force.torque]);
+        }
+    }
+
+    /// Writes a robot's report, as the device would, without demands and touched bodies.
+    pub fn write_report(&mut self, robot: usize, report: &Report<f32>) {
+        let columns = self.shape.columns(&mut self.exchanged);
+        let mut put = |name: usize, numbers: &[f32]| {
+            let at = columns.report_place(robot, name, 0);
+            write(&mut columns.report[at..], numbers);
+        };
+        put(R_EFFORT, &report.joint_effort);
+        put(R_ACCELERATION, &report.joint_acceleration);
+        put(R_BODY_FORCE, report.body_force.as_flattened());
+        put(R_NORMAL_FORCE, &report.normal_force.concat());
+        put(R_SITE_POSITION, report.site_position.as_flattened());
+        put(R_SITE_VELOCITY, report.site_velocity.as_flattened());
     }
 
     /// Reads a robot's report.
-    pub fn read_report(&self, env: usize, report: &mut Report<f32>) {
-        let joints = report.joint_effort.iter_mut().chain(&mut report.joint_acceleration);
-        let forces = report.body_force.as_flattened_mut().iter_mut().chain(report.normal_force.iter_mut().flatten());
-        let sites = report.site_position.as_flattened_mut().iter_mut().chain(report.site_velocity.as_flattened_mut());
-        let numbers = joints.chain(forces).chain(&mut report.demands).chain(sites);
-        read(&self.report, self.robots, env, numbers);
-        for (body, touched) in report.touched.iter_mut().enumerate() {
-            *touched = self.touched[body * self.robots + env] != 0;
+    pub fn read_report(&mut self, robot: usize, report: &mut Report<f32>) {
+        let Report { joint_effort, joint_acceleration, body_force, normal_force, touched, demands, .. } = report;
+        let columns = self.shape.columns(&mut self.exchanged);
+        columns.read_joints(robot, joint_effort, joint_acceleration);
+        for (body, force) in body_force.iter_mut().enumerate() {
+            *force = columns.body_force(robot, body);
+        }
+        for (step, forces) in normal_force.iter_mut().enumerate() {
+            for (body, force) in forces.iter_mut().enumerate() {
+                *force = columns.normal_force(robot, step, body);
+            }
+        }
+        columns.read_sites(robot, &mut report.site_position, &mut report.site_velocity);
+        let tables = &self.shape.tables;
+        let place = |size: usize, name: usize| (robot / TILE * size + tables.at(name)) * TILE + robot % TILE;
+        read(&self.work[place(tables.sizes.work, W_DEMANDS)..], demands);
+        let all = &self.work_integers[place(tables.sizes.work_integers, I_TOUCHED)..];
+        for (touched, place) in touched.iter_mut().zip(all.iter().step_by(TILE)) {
+            *touched = *place != 0;
         }
     }
 
     /// The arrays of the block.
     pub fn parts(&mut self) -> Parts<'_> {
+        let Self { shape, parameters, shared, exchanged, work, work_integers } = self;
+        let Columns { drive, state, report, .. } = shape.columns(exchanged);
+        let Tables { integers, numbers, grid, .. } = &shape.tables;
+        let (robots, shared, capacity) = (shape.robots, *shared, shape.capacity);
         Parts {
-            integers: &self.tables.integers,
-            numbers: &self.tables.numbers,
-            parameters: &self.parameters,
-            state: &mut self.state,
-            drive: &self.drive,
-            grid: &self.tables.grid,
-            report: &mut self.report,
-            touched: &mut self.touched,
-            work: &mut self.work,
-            work_integers: &mut self.work_integers,
-            robots: self.robots,
-            shared: self.shared,
+            integers,
+            numbers,
+            parameters,
+            drive,
+            state,
+            report,
+            grid,
+            work,
+            work_integers,
+            robots,
+            shared,
+            capacity,
         }
     }
 
     /// Whether these are physics steps of a control step, and the robots have parameters: else a
     /// kernel would read beyond its arrays.
     pub fn may_step(&self, substeps: &Range<usize>) -> bool {
-        let decimation = usize::try_from(self.tables.integers[DECIMATION]).unwrap_or(0);
-        substeps.end <= decimation && !self.parameters.is_empty()
+        substeps.end <= self.shape.decimation() && !self.parameters.is_empty()
     }
 }
 
 /// All numbers of parameters, in the order in which they are visited.
-fn list(parameters: &Parameters<f32>) -> Vec<f32> {
-    let (mut numbers, mut visited) = (Vec::new(), parameters.clone());
-    visited.zip_with(parameters, |_, number| numbers.push(*number));
+pub fn list(parameters: &Parameters<f32>) -> Vec<f32> {
+    let mut numbers = Vec::new();
+    parameters.any_with(parameters, |number, _| {
+        numbers.push(*number);
+        false
+    });
     numbers
 }

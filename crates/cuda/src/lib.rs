@@ -3,11 +3,17 @@
 #![warn(missing_docs)]
 
 mod columns;
+mod device;
+mod driver;
 mod layout;
+mod nvrtc;
 mod tables;
 
-pub use columns::{Block, Parts};
-pub use tables::{Scene, Unsupported};
+pub use columns::{Block, Columns, Motion, Parts, ROBOTS_OF_TILE, Shape, list};
+pub use device::{Device, DeviceBlock, DeviceError};
+pub use driver::{Card, Found, find};
+pub use nvrtc::{compile, search_packages};
+pub use tables::{Scene, Sizes, Tables, Unsupported};
 
 /// The text of the device, file by file: its name and its contents. `step.cu` includes the others.
 pub const DEVICE_TEXT: [(&str, &str); 12] = [

@@ -40,24 +40,34 @@ pub struct Scene<'a> {
 
 /// Tables and the sizes of the columns.
 #[derive(Clone, Debug)]
-pub(crate) struct Tables {
-    pub(crate) integers: Vec<i32>,
-    pub(crate) numbers: Vec<f32>,
+pub struct Tables {
+    /// Table of integers.
+    pub integers: Vec<i32>,
+    /// Table of numbers.
+    pub numbers: Vec<f32>,
     /// Heights of the grid, `[x][y]`, then the largest heights of its squares; empty on a plane.
-    pub(crate) grid: Vec<f32>,
-    pub(crate) sizes: Sizes,
+    pub grid: Vec<f32>,
+    /// Numbers of a robot in each kind of column.
+    pub sizes: Sizes,
 }
 
 /// Numbers of a robot in each kind of column.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Sizes {
-    pub(crate) parameters: usize,
-    pub(crate) state: usize,
-    pub(crate) drive: usize,
-    pub(crate) report: usize,
-    pub(crate) touched: usize,
-    pub(crate) work: usize,
-    pub(crate) work_integers: usize,
+pub struct Sizes {
+    /// Parameters.
+    pub parameters: usize,
+    /// State, with an empty list of impulses.
+    pub state: usize,
+    /// Drive.
+    pub drive: usize,
+    /// Report.
+    pub report: usize,
+    /// Scratch memory.
+    pub work: usize,
+    /// Integers of scratch memory.
+    pub work_integers: usize,
+    /// Contacts, and rows of torsional and rolling friction, that may press at a time.
+    pub impulses: usize,
 }
 
 /// Lists that begin one after the other: where each begins goes to the table of integers.
@@ -79,7 +89,7 @@ impl Tables {
     ///
     /// # Errors
     /// A feature that the device lacks.
-    pub(crate) fn new(topology: &Topology, settings: &StepSettings, scene: &Scene) -> Result<Self, Unsupported> {
+    pub fn new(topology: &Topology, settings: &StepSettings, scene: &Scene) -> Result<Self, Unsupported> {
         let Scene { terrain, networks, link_forces, .. } = *scene;
         if !networks.is_empty() {
             return Err(Unsupported::Networks);
@@ -91,9 +101,26 @@ impl Tables {
         write_settings(settings, &mut lists.numbers[..NUM_NUMBERS]);
         let grid = terrain.map_or(Vec::new(), |grid| write_grid(grid, &mut header, &mut lists.numbers));
         let sizes = place_columns(topology, settings, scene, stride, &mut header);
+        for (name, size) in [
+            (SIZE_PARAMETERS, sizes.parameters),
+            (SIZE_STATE, sizes.state),
+            (SIZE_DRIVE, sizes.drive),
+            (SIZE_REPORT, sizes.report),
+            (SIZE_WORK, sizes.work),
+            (SIZE_WORK_INTEGERS, sizes.work_integers),
+        ] {
+            header[name] = size;
+            // places in a tile are counted in 32 bits
+            i32::try_from(TILE * (size + LISTED_SIZE * sizes.impulses)).map_err(|_| Unsupported::TooLarge)?;
+        }
         let integers = header.into_iter().chain(lists.integers).map(i32::try_from).collect::<Result<_, _>>();
         let integers = integers.map_err(|_| Unsupported::TooLarge)?;
         Ok(Self { integers, numbers: lists.numbers, grid, sizes })
+    }
+
+    /// An entry of the table of integers that is never negative.
+    pub(crate) fn at(&self, name: usize) -> usize {
+        usize::try_from(self.integers[name]).unwrap_or(0)
     }
 }
 
@@ -479,7 +506,8 @@ fn place_columns(
     let (joints, links, blocks) = (topology.num_joints(), topology.num_links(), topology.blocks().len());
     let (contacts, bodies, sites) = (topology.contacts.len(), topology.num_bodies, topology.sites.len());
     let (rows, colliders) = (num_rows(topology), topology.colliders.len());
-    let spins = topology.num_impulses() - rows;
+    let impulses = topology.num_impulses();
+    let spins = impulses - rows;
     let couplings = topology.blocks().iter().map(|block| block.carriers.len()).sum::<usize>();
     let mut columns = |lists: &[(usize, usize)]| {
         let mut places = Places { integers: header, next: 0 };
@@ -527,8 +555,8 @@ fn place_columns(
         (S_ANGULAR, 3),
         (S_JOINT, joints),
         (S_JOINT_VELOCITY, joints),
-        (S_IMPULSE, 3 * topology.num_impulses()),
         (S_BOUND, joints),
+        (S_PRESSING, 1),
     ]);
     let drive = columns(&[
         (D_TARGET, scene.ages.max(1) * joints),
@@ -544,7 +572,6 @@ fn place_columns(
         (R_ACCELERATION, joints),
         (R_BODY_FORCE, 3 * bodies),
         (R_NORMAL_FORCE, settings.decimation * bodies),
-        (R_DEMANDS, bodies + blocks + 1),
         (R_SITE_POSITION, 3 * sites),
         (R_SITE_VELOCITY, 3 * sites),
     ]);
@@ -570,7 +597,15 @@ fn place_columns(
         (W_BOUND_FURTHER, 9 * stride * blocks),
         (W_COLLIDER, PLACED_SIZE * colliders),
         (W_LINK_BOX, LINK_BOX_SIZE * links),
+        (W_PRESSING, 3 * impulses),
+        (W_DEMANDS, bodies + blocks + 1),
     ]);
-    let work_integers = columns(&[(I_ROW, ROW_INTEGERS * rows), (I_BOUND, BOUND_INTEGERS * blocks), (I_PLACED, links)]);
-    Sizes { parameters, state, drive, report, touched: bodies, work, work_integers }
+    let work_integers = columns(&[
+        (I_ROW, ROW_INTEGERS * rows),
+        (I_BOUND, BOUND_INTEGERS * blocks),
+        (I_PLACED, links),
+        (I_PRESSING, 1 + impulses),
+        (I_TOUCHED, bodies),
+    ]);
+    Sizes { parameters, state, drive, report, work, work_integers, impulses }
 }

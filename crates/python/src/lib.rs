@@ -27,6 +27,7 @@ use exceptions::{guarded, to_python, unsigned, value_error, whole};
 use polypod::config::{ConfigError, EARTH_GRAVITY, Explained, Library};
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
+use polypod::engine::{describe_card, search_packages};
 use polypod::learner::Worker;
 use polypod::robot::{self, LoadOptions};
 use polypod::snapshot;
@@ -261,6 +262,12 @@ fn join_snapshots<'py>(py: Python<'py>, parts: Vec<Vec<u8>>) -> PyResult<Bound<'
     Ok(PyBytes::new(py, &joined))
 }
 
+#[doc = docstring!("cuda")]
+#[pyfunction]
+fn cuda(py: Python<'_>) -> String {
+    py.detach(describe_card)
+}
+
 #[doc = docstring!("info")]
 #[pyfunction]
 fn info(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
@@ -286,6 +293,7 @@ fn load_numpy(py: Python<'_>) -> PyResult<()> {
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     load_numpy(module.py())?;
+    search_packages(module.py().import("sys")?.getattr("path")?.extract().unwrap_or_default());
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
     exceptions::register(module)?;
@@ -312,6 +320,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;
     module.add_function(wrap_pyfunction!(share_of_worker, module)?)?;
     module.add_function(wrap_pyfunction!(join_snapshots, module)?)?;
+    module.add_function(wrap_pyfunction!(cuda, module)?)?;
     module.add_function(wrap_pyfunction!(info, module)?)?;
     module.add_function(wrap_pyfunction!(terrain::terrain, module)?)?;
     Ok(())

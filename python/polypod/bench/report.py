@@ -59,21 +59,21 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     progress(f"physics of {options.robot}, {options.threads} threads, beside MuJoCo {result['mujoco']}")
     result["physics"] = _physics(options, seconds, rounds)
     progress(f"whole control steps, {step_threads} threads")
-    steps = sampling.medians(
-        sampling.rates(
-            {
-                "env_step": control_steps("velocity_flat", options.num_envs, step_threads, options.seed),
-                "rough": control_steps("velocity_rough", options.num_envs, step_threads, options.seed),
-            },
-            seconds,
-            rounds,
-        )
-    )
-    for name, rate in steps.items():
+    steps: dict[str, sampling.Sample] = {}
+    for suffix, overrides in _engines().items():
+        for name, task in (("env_step", "velocity_flat"), ("rough", "velocity_rough")):
+            sample = control_steps(task, options.num_envs, step_threads, options.seed, overrides=overrides)
+            steps[name + suffix] = sample
+    for name, rate in sampling.medians(sampling.rates(steps, seconds, rounds)).items():
         result[name] = {"env_steps_per_s": rate}
     if not options.quick:
         _scaling(options, step_threads, seconds, result, progress)
     return result
+
+
+def _engines() -> dict[str, list[str]]:
+    """Suffix of the figures and overrides of each engine: the card's too, where it can be used."""
+    return {"": []} | ({} if _core.cuda().startswith("not used: ") else {"_cuda": ["physics.engine=cuda"]})
 
 
 def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float | None]:
@@ -161,7 +161,12 @@ def table(result: Mapping[str, Any]) -> str:
     rows.append(
         (f"rough control step, {result['step_threads']} threads", result["rough"]["env_steps_per_s"], "env-steps/s")
     )
-    for key, words in (("reset_heavy", "flat, episodes of 0.1 s"), ("random_actions", "flat, actions of deviation 1")):
+    for key, words in (
+        ("env_step_cuda", "flat control step, physics on the card"),
+        ("rough_cuda", "rough control step, physics on the card"),
+        ("reset_heavy", "flat, episodes of 0.1 s"),
+        ("random_actions", "flat, actions of deviation 1"),
+    ):
         if key in result:
             rows.append((words, result[key]["env_steps_per_s"], "env-steps/s"))
     for key, words in (

@@ -13,7 +13,7 @@ from polypod import _core
 
 PACKAGES = ("numpy", "gymnasium", "torch", "rsl-rl-lib", "tensordict", "mujoco", "onnxruntime", "viser", "tyro")
 """Distributions whose versions a bug report needs."""
-VARIABLES = ("POLYPOD_PATH", "POLYPOD_SIMD", "OMP_NUM_THREADS", "GOMP_SPINCOUNT")
+VARIABLES = ("POLYPOD_PATH", "POLYPOD_SIMD", "POLYPOD_NVRTC", "OMP_NUM_THREADS", "GOMP_SPINCOUNT")
 """Environment variables that change what polypod does."""
 _TIMEOUT_S = 10.0
 """For the driver of the GPUs to answer."""
@@ -46,6 +46,7 @@ def report() -> dict[str, str]:
         "processor": f"{cpu()}, {os.cpu_count()} cores",
         **{f"gpu {i}": gpu for i, gpu in enumerate(gpus)},
         **({} if gpus else {"gpu": "none found"}),
+        "cuda engine": _core.cuda(),
         **{name: _version(name) for name in PACKAGES},
         **{name: os.environ[name] for name in VARIABLES if name in os.environ},
         "tasks": f"{len(_core.tasks())}, robots {len(_core.robots())}, broken configs {len(_core.broken_configs())}",

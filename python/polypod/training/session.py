@@ -31,6 +31,9 @@ from polypod.training.taught_runner import TaughtRunner
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
+ENGINE = "physics.engine="
+SAME_BITS = (f"{ENGINE}articulated", f"{ENGINE}cuda")
+"""Engines that go on with each other's runs."""
 NOT_WALKING = 3
 """Exit code of a training that was to end with walking robots and does not."""
 
@@ -352,7 +355,11 @@ def settle(
 
 
 def _resumed_plan(options: Options, workers: Workers) -> Plan:
-    """Plan of a resumed run; it continues unchanged, so its options cannot be given again."""
+    """Plan of a resumed run; it continues unchanged, so its options cannot be given again.
+
+    Another engine with the same bits changes nothing.
+    """
+    engine = [change for change in options.overrides if change in SAME_BITS]
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,
@@ -361,7 +368,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
         "--train-config": options.train_config,
         "--run-name": options.run_name,
         "--init": options.init,
-        "--set": options.overrides or None,
+        "--set": [change for change in options.overrides if change not in SAME_BITS] or None,
     }
     given = [flag for flag, value in fixed.items() if value is not None]
     if given:
@@ -380,6 +387,8 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     terms = _terms_again(options, manifest)
     train_config = train_config.with_learner_resolved(options.learner, torch.device(device).type)
     robots, seed, overrides = manifest["robot_sources"], manifest["seed"], manifest["overrides"]
+    if engine:
+        overrides = [change for change in overrides if not change.startswith(ENGINE)] + engine[-1:]
     slots = tuple(manifest.get("slots", ()))
     return Plan(train_config, robots, seed, overrides, checkpoint, device, terms, slots)
 

@@ -41,6 +41,31 @@ def test_four_iterations_equal_two_and_two(tmp_path):
     assert differences(expected, run_dir.load_checkpoint(half)) != []
 
 
+def on(engine, options):
+    """The options with an engine."""
+    return {**options, "overrides": [*options["overrides"], f"physics.engine={engine}"]}
+
+
+@pytest.mark.cuda
+def test_a_run_goes_on_with_the_engine_that_has_the_same_bits(tmp_path):
+    described = polypod._core.cuda()
+    if described.startswith("not used: "):
+        pytest.skip(described)
+    whole = train(tmp_path / "whole", max_iterations=2, **TINY)
+    half = train(tmp_path / "halves", max_iterations=1, **on("cuda", TINY))
+    resumed = train(tmp_path / "halves", max_iterations=1, resume=str(half), overrides=["physics.engine=articulated"])
+    expected, found = (run_dir.load_checkpoint(path)["actor_state_dict"] for path in (whole, resumed))
+    assert differences(expected, found) == []
+
+
+def test_a_resumed_run_may_name_its_engine_alone(tmp_path):
+    half = train(tmp_path, max_iterations=1, **TINY)
+    with pytest.raises(polypod.ConfigError, match="leave out --set"):
+        train(tmp_path, max_iterations=1, resume=str(half), overrides=["sim.episode_length_s=2.0"])
+    resumed = train(tmp_path, max_iterations=1, resume=str(half), overrides=["physics.engine=articulated"])
+    assert resumed.name == "model_2.pt"
+
+
 def test_the_same_seed_trains_the_same_policy(trained_run, tmp_path):
     first = run_dir.load_checkpoint(trained_run)
     second = run_dir.load_checkpoint(train(tmp_path, max_iterations=1, **TINY))

@@ -1,0 +1,115 @@
+//! Devices, as an engine sees them: memory for blocks of robots, and their steps.
+
+use crate::columns::{Columns, Shape};
+use crate::tables::Unsupported;
+
+/// Why a device cannot be used, or no longer.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DeviceError {
+    /// The driver's library is not there.
+    #[error("there is no driver of an NVIDIA card here (libcuda)")]
+    NoDriver,
+    /// The driver sees no card.
+    #[error("the driver sees no NVIDIA card: {0}")]
+    NoCard(String),
+    /// A driver that is older than the first that loads the text.
+    #[error("the driver knows CUDA {}.{} at most, and {}.{} is needed", .0 / 1000, .0 % 1000 / 10, .1 / 1000, .1 % 1000 / 10)]
+    OldDriver(i32, i32),
+    /// A card of an older generation.
+    #[error("the card {name} has compute capability {}.{}, and 8.0 is needed", .capability.0, .capability.1)]
+    OldCard {
+        /// Name of the card.
+        name: String,
+        /// Its compute capability.
+        capability: (i32, i32),
+    },
+    /// The compiler NVRTC is not there.
+    #[error("there is no NVRTC here, which compiles the text for the card (libnvrtc)")]
+    NoCompiler,
+    /// The compiler refuses the text.
+    #[error("NVRTC cannot compile the text for the card: {0}")]
+    Compiler(String),
+    /// The card's memory or the host's pinned memory is too small.
+    #[error("the card has {free} MB of memory free, and the robots need {needed} MB")]
+    Memory {
+        /// MB that the robots need.
+        needed: usize,
+        /// MB that are free.
+        free: usize,
+    },
+    /// A call of the driver failed.
+    #[error("{call}: {text}")]
+    Call {
+        /// Name of the call.
+        call: &'static str,
+        /// The driver's text.
+        text: String,
+    },
+    /// A feature that the text lacks.
+    #[error(transparent)]
+    Unsupported(#[from] Unsupported),
+}
+
+impl DeviceError {
+    /// Advice for the user.
+    pub fn remedy(&self) -> &'static str {
+        match self {
+            Self::NoDriver => "install NVIDIA's driver, or use \"articulated\", which has the same bits on the CPU",
+            Self::NoCard(_) => "look at nvidia-smi and CUDA_VISIBLE_DEVICES, or use \"articulated\"",
+            Self::OldDriver(..) => "install a newer driver of NVIDIA's, or use \"articulated\"",
+            Self::OldCard { .. } => "use a card of the Ampere generation or newer, or \"articulated\"",
+            Self::NoCompiler => "install torch for CUDA, or set POLYPOD_NVRTC to libnvrtc.so, or use \"articulated\"",
+            Self::Memory { .. } => "use fewer envs, or \"articulated\"",
+            Self::Compiler(_) | Self::Call { .. } => "use \"articulated\", which has the same bits on the CPU",
+            Self::Unsupported(_) => "use \"articulated\"",
+        }
+    }
+}
+
+/// A device that steps blocks of robots.
+pub trait Device: Send + Sync {
+    /// Name of the device.
+    fn name(&self) -> &str;
+
+    /// Memory for a block. Drive, state and parameters are zero.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError>;
+}
+
+/// The robots of one morphology on a device. An error means that the device is lost.
+pub trait DeviceBlock: Send + Sync {
+    /// Tables and sizes.
+    fn shape(&self) -> &Shape;
+
+    /// Memory that the host shares with the device. Only between [`finish`](Self::finish) and
+    /// [`start`](Self::start) does the host read and write it.
+    fn columns(&mut self) -> Columns<'_>;
+
+    /// Takes over parameters: one list for all robots if they are `shared`, else the tiles of
+    /// `all` that have changed.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError>;
+
+    /// Begins a control step: drive and state to the device, the physics steps, state and report
+    /// to the host.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn start(&mut self) -> Result<(), DeviceError>;
+
+    /// Waits for the end of the control step.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn finish(&mut self) -> Result<(), DeviceError>;
+
+    /// Seconds of upload, kernel and download of the last control step, where the device measures
+    /// them.
+    fn seconds(&self) -> Option<[f64; 3]> {
+        None
+    }
+}

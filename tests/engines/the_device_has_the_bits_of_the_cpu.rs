@@ -1,0 +1,242 @@
+//! The engine `cuda` has the bits of the engine on the CPU. The host stands for the card: it steps
+//! the text of the device, compiled as C, behind the same engine.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bevy_app::App;
+use polypod::components::{BaseVelocity, Body, ConstraintImpulses, EnvId, LinkForce, LinkForces};
+use polypod::engine::OnDevice;
+use polypod::systems::{PolypodPlugins, add_engine};
+use polypod::{Error, Sim, SimOptions};
+use polypod_cuda::{Columns, Device, DeviceBlock, DeviceError, Shape};
+use polypod_cuda_host::Host;
+
+use crate::common::{ROBOTS, assert_all_same, busy, ended, size, sprung, step, turning};
+
+/// A host that fails in a control step.
+struct Failing {
+    left: Arc<AtomicUsize>,
+}
+
+struct FailingBlock(Box<dyn DeviceBlock>, Arc<AtomicUsize>);
+
+impl Device for Failing {
+    fn name(&self) -> &str {
+        "failing"
+    }
+
+    fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
+        Ok(Box::new(FailingBlock(Host.allocate(shape)?, self.left.clone())))
+    }
+}
+
+impl DeviceBlock for FailingBlock {
+    fn shape(&self) -> &Shape {
+        self.0.shape()
+    }
+
+    fn columns(&mut self) -> Columns<'_> {
+        self.0.columns()
+    }
+
+    fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError> {
+        self.0.set_parameters(all, shared, changed)
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        self.0.start()
+    }
+
+    fn finish(&mut self) -> Result<(), DeviceError> {
+        let lost = DeviceError::Call { call: "finish", text: "lost".into() };
+        let left = self.1.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        left.map_err(|_| lost)?;
+        self.0.finish()
+    }
+}
+
+fn sim_on(
+    mut options: SimOptions,
+    open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static,
+) -> Result<Sim, Error> {
+    options.overrides.push("physics.engine=cuda".into());
+    let mut app = App::empty();
+    app.insert_resource(options).add_plugins(PolypodPlugins);
+    add_engine(&mut app, "cuda", OnDevice::new(open));
+    Sim::from_app(app)
+}
+
+fn on_host(options: SimOptions) -> Sim {
+    sim_on(options, || Ok(Arc::new(Host))).unwrap()
+}
+
+/// Both engines make the same steps, to the last bit of their snapshots, which hold the impulses of
+/// all contacts too.
+fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
+    let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options));
+    let mut all_ended = 0;
+    for t in 0..steps {
+        step(&mut cpu, t);
+        step(&mut host, t);
+        all_ended += ended(&cpu);
+        assert_all_same(&mut cpu, &mut host, &format!("{what}, step {t}"));
+    }
+    assert!(all_ended >= least_ended, "{what}: {all_ended} episodes ended");
+    assert!(cpu.snapshot().unwrap() == host.snapshot().unwrap(), "{what}: a component differs");
+}
+
+#[test]
+fn in_a_flat_task_with_resets_pushes_and_randomisation() {
+    let mut options = turning(busy(&ROBOTS, 70));
+    options.threads = Some(2);
+    compare(options, size(90, 400), 70, "flat");
+}
+
+#[test]
+fn with_delays_springs_and_surfaces() {
+    let mut options = sprung(busy(&["unitree_go2", "anymal_d"], 40));
+    options.overrides.push("events.action_delay.delay_range=[0, 6]".into());
+    compare(options, 60, 30, "springs");
+}
+
+#[test]
+fn on_rough_ground_and_with_other_bodies() {
+    let options = |task: &str, envs: usize| SimOptions {
+        seed: 3,
+        threads: Some(1),
+        overrides: vec!["sim.episode_length_s=0.6".into()],
+        ..SimOptions::new(task, envs)
+    };
+    compare(options("velocity_rough", 48), 50, 40, "rough");
+    compare(options("velocity_flat_legged", 96), 50, 40, "legged");
+    compare(options("velocity_flat_variation", 40), 40, 30, "variation");
+}
+
+#[test]
+fn of_robots_that_lie_on_the_ground_with_more_contacts_than_lists_have_room_for() {
+    let options = SimOptions { threads: Some(1), seed: 4, ..SimOptions::new("getup_flat_humanoid", 24) };
+    let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options));
+    let mut most = 0;
+    for t in 0..80 {
+        step(&mut cpu, t);
+        step(&mut host, t);
+        let world = cpu.world_mut();
+        let mut impulses = world.query::<&ConstraintImpulses>();
+        most = impulses.iter(world).map(|of| of.contacts.len()).max().unwrap_or(0).max(most);
+    }
+    // the first lists have room for four
+    assert!(most > 4, "at most {most} contacts");
+    assert!(cpu.snapshot().unwrap() == host.snapshot().unwrap());
+}
+
+#[test]
+fn with_forces_on_links_and_parameters_that_a_caller_sets() {
+    let options = busy(&["unitree_a1"], 34);
+    let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..30 {
+        for sim in [&mut cpu, &mut host] {
+            if t % 7 == 3 {
+                let world = sim.world_mut();
+                let mut forces = world.query::<(&EnvId, &mut LinkForces)>();
+                for (env, mut forces) in forces.iter_mut(world) {
+                    if env.0 % 3 == 0 {
+                        let link = 1 + (env.0 + t as u32) % 12;
+                        forces.0 = vec![LinkForce {
+                            link,
+                            in_world: env.0 % 2 == 0,
+                            point: [0.01, 0.0, -0.05],
+                            force: [8.0, -3.0, 5.0],
+                            torque: [0.1, 0.2, -0.3],
+                            steps: 2,
+                        }];
+                    }
+                }
+            }
+            if t == 10 {
+                let world = sim.world_mut();
+                let mut bodies = world.query::<(&EnvId, &mut Body)>();
+                for (env, mut body) in bodies.iter_mut(world) {
+                    body.0.mass[1] *= 1.0 + 0.01 * env.0 as f32;
+                }
+            }
+            step(sim, t);
+        }
+        assert_all_same(&mut cpu, &mut host, &format!("step {t}"));
+    }
+    assert!(cpu.snapshot().unwrap() == host.snapshot().unwrap());
+}
+
+#[test]
+fn a_snapshot_of_one_side_goes_on_on_the_other() {
+    let options = busy(&["unitree_a1", "spot"], 36);
+    let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options.clone()));
+    for t in 0..25 {
+        step(&mut cpu, t);
+        step(&mut host, t);
+    }
+    let (from_cpu, from_host) = (cpu.snapshot().unwrap(), host.snapshot().unwrap());
+    let (mut new_cpu, mut new_host) = (Sim::new(&options).unwrap(), on_host(options));
+    new_cpu.restore(&from_host).unwrap();
+    new_host.restore(&from_cpu).unwrap();
+    for t in 25..50 {
+        for sim in [&mut cpu, &mut new_cpu, &mut new_host] {
+            step(sim, t);
+        }
+    }
+    let expected = cpu.snapshot().unwrap();
+    assert!(expected == new_cpu.snapshot().unwrap() && expected == new_host.snapshot().unwrap());
+}
+
+#[test]
+fn a_card_that_is_lost_costs_no_step() {
+    let options = busy(&["unitree_a1", "spot"], 36);
+    let mut cpu = Sim::new(&options).unwrap();
+    // two blocks a step: the card fails in the eleventh step, with the second block
+    let left = Arc::new(AtomicUsize::new(21));
+    let device = left.clone();
+    let mut lost = sim_on(options, move || Ok(Arc::new(Failing { left: device.clone() }))).unwrap();
+    for t in 0..30 {
+        step(&mut cpu, t);
+        step(&mut lost, t);
+        assert_eq!(left.load(Ordering::Relaxed), 21usize.saturating_sub(2 * (t + 1)));
+        assert_all_same(&mut cpu, &mut lost, &format!("step {t}"));
+    }
+    assert!(cpu.snapshot().unwrap() == lost.snapshot().unwrap());
+}
+
+#[test]
+fn a_broken_state_is_recorded_as_on_the_cpu() {
+    let options = busy(&["unitree_a1"], 40);
+    let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..6 {
+        for sim in [&mut cpu, &mut host] {
+            if t == 3 {
+                let world = sim.world_mut();
+                let mut bodies = world.query::<(&EnvId, &mut BaseVelocity)>();
+                for (env, mut velocity) in bodies.iter_mut(world) {
+                    if env.0 == 33 {
+                        velocity.linear = [5e3, 0.0, 0.0];
+                    }
+                }
+            }
+            step(sim, t);
+        }
+        assert_all_same(&mut cpu, &mut host, &format!("step {t}"));
+    }
+    assert!(cpu.snapshot().unwrap() == host.snapshot().unwrap());
+}
+
+#[test]
+fn a_machine_without_a_card_is_refused_by_name() {
+    let without = |error: DeviceError| {
+        let made = sim_on(busy(&["unitree_a1"], 2), move || Err(error.clone()));
+        made.map(|_| ()).unwrap_err().to_string()
+    };
+    let error = without(DeviceError::NoDriver);
+    assert!(error.contains("physics.engine: there is no driver") && error.contains("articulated"), "{error}");
+    let error = without(DeviceError::OldDriver(10020, 11040));
+    assert!(error.contains("CUDA 10.2 at most, and 11.4 is needed"), "{error}");
+    let error = without(DeviceError::Memory { needed: 900, free: 80 });
+    assert!(error.contains("80 MB of memory free") && error.contains("fewer envs"), "{error}");
+}
