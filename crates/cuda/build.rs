@@ -1,4 +1,5 @@
-//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust.
+//! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust, and
+//! the text of the device without comments, which is what the wheel ships.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -10,13 +11,19 @@ fn value(expression: &str, known: &BTreeMap<String, i64>) -> Option<i64> {
     expression.split('+').map(str::trim).map(|term| term.parse().ok().or_else(|| known.get(term).copied())).sum()
 }
 
-/// Constants of all enumerators of a C header that has no other braces than those of enums.
-fn constants(header: &str) -> Option<String> {
-    let mut text = header.to_owned();
+/// C without its comments and indentation.
+fn without_comments(text: &str) -> String {
+    let mut text = text.to_owned();
     while let Some((before, (_, after))) = text.split_once("/*").and_then(|(b, rest)| Some((b, rest.split_once("*/")?)))
     {
         text = format!("{before}{after}");
     }
+    text.lines().map(str::trim).filter(|line| !line.is_empty()).flat_map(|line| [line, "\n"]).collect()
+}
+
+/// Constants of all enumerators of a C header that has no other braces than those of enums.
+fn constants(header: &str) -> Option<String> {
+    let text = without_comments(header);
     let mut known = BTreeMap::new();
     let mut out = String::new();
     for part in text.split("enum ").skip(1) {
@@ -42,6 +49,14 @@ fn main() {
     let header = fs::read_to_string("device/tables.h").unwrap_or_default();
     let out = env::var("OUT_DIR").unwrap_or_default();
     let written = constants(&header).map(|text| fs::write(Path::new(&out).join("layout.rs"), text));
+    let texts = fs::read_dir("device").into_iter().flatten().flatten();
+    let shipped = texts.map(|file| {
+        let text = fs::read_to_string(file.path())?;
+        fs::write(Path::new(&out).join(file.file_name()), without_comments(&text))
+    });
+    if let Err(error) = shipped.collect::<Result<Vec<()>, _>>() {
+        println!("cargo::error=device: {error}");
+    }
     if !matches!(written, Some(Ok(()))) {
         println!("cargo::error=device/tables.h: an enumerator is no sum of numbers and earlier names");
     }

@@ -15,18 +15,19 @@ pub use driver::{Card, Found, find};
 pub use nvrtc::{compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
-/// The text of the device, file by file: its name and its contents. `step.cu` includes the others.
+/// The text of the device without comments, file by file: its name and its contents. `step.cu`
+/// includes the others.
 pub const DEVICE_TEXT: [(&str, &str); 12] = [
-    ("step.cu", include_str!("../device/step.cu")),
-    ("step.h", include_str!("../device/step.h")),
-    ("solver.h", include_str!("../device/solver.h")),
-    ("bounds.h", include_str!("../device/bounds.h")),
-    ("pairs.h", include_str!("../device/pairs.h")),
-    ("terrain.h", include_str!("../device/terrain.h")),
-    ("ground.h", include_str!("../device/ground.h")),
-    ("rows.h", include_str!("../device/rows.h")),
-    ("kinematics.h", include_str!("../device/kinematics.h")),
-    ("factor.h", include_str!("../device/factor.h")),
-    ("tables.h", include_str!("../device/tables.h")),
-    ("numbers.h", include_str!("../device/numbers.h")),
+    ("step.cu", include_str!(concat!(env!("OUT_DIR"), "/step.cu"))),
+    ("step.h", include_str!(concat!(env!("OUT_DIR"), "/step.h"))),
+    ("solver.h", include_str!(concat!(env!("OUT_DIR"), "/solver.h"))),
+    ("bounds.h", include_str!(concat!(env!("OUT_DIR"), "/bounds.h"))),
+    ("pairs.h", include_str!(concat!(env!("OUT_DIR"), "/pairs.h"))),
+    ("terrain.h", include_str!(concat!(env!("OUT_DIR"), "/terrain.h"))),
+    ("ground.h", include_str!(concat!(env!("OUT_DIR"), "/ground.h"))),
+    ("rows.h", include_str!(concat!(env!("OUT_DIR"), "/rows.h"))),
+    ("kinematics.h", include_str!(concat!(env!("OUT_DIR"), "/kinematics.h"))),
+    ("factor.h", include_str!(concat!(env!("OUT_DIR"), "/factor.h"))),
+    ("tables.h", include_str!(concat!(env!("OUT_DIR"), "/tables.h"))),
+    ("numbers.h", include_str!(concat!(env!("OUT_DIR"), "/numbers.h"))),
 ];

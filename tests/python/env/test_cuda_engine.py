@@ -1,23 +1,22 @@
 """The engine `cuda`: a remedy where there is no card, the bits of the CPU where there is one.
 
 `pytest -m cuda` runs the tests that need a card; elsewhere they are skipped and say why.
-`tests/the_device_has_the_bits_of_the_cpu.rs` runs the same engine on the host, without a card.
+`tests/engines/the_device_has_the_bits_of_the_cpu.rs` runs the same engine on the host.
 """
 
-from common import ROOT
 import re
 import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from common import ROOT
 from polypod import ConfigError, VecSim, _core
 
 sys.path.insert(0, str(ROOT / "tools"))
-import ptx  # noqa: E402
+import ptx
 
 CUDA = "physics.engine=cuda"
 SHORT = ("sim.episode_length_s=1.2", "events.push_robot.interval_range_s=[0.2, 0.4]")
