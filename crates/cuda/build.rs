@@ -1,5 +1,5 @@
 //! Writes the layout of tables and columns, as `device/tables.h` states it, as constants of Rust,
-//! and the text of the device without comments, which the wheel ships.
+//! and the text of the device without comments, which is what the wheel ships.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
