@@ -1,12 +1,11 @@
 """Makes a bundled policy of a recipe's model: `python -m lab.bundle MODEL FOLDER --task NAME`.
 
-The networks stay, and the manifest with the robots of the library. Drawn
-robots leave their descriptions behind, by which a policy says how far a body is from what it was
-trained on.
+The networks stay, and the manifest with the robots of the library. Drawn robots leave
+their descriptions alone. By them a policy says how far a body is from those of its training.
 """
 
 import argparse
-import hashlib
+import copy
 import json
 import shlex
 import sys
@@ -39,7 +38,7 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
     seen = [(term.term, term.size) for term in terms_of(sim)]
     if seen != (trained := [(entry["term"], entry["size"]) for entry in manifest["observation_layout"]]):
         raise ValueError(f"{task} shows {seen}, and the policy was trained on {trained}")
-    config = json.loads(json.dumps(manifest["train_config"]))
+    config = copy.deepcopy(manifest["train_config"])
     if (distillation := config.get("distillation")) is not None:
         teachers = distillation["teachers"]
         distillation["teachers"] = {robot: Path(path).parent.name for robot, path in teachers.items()}
@@ -48,6 +47,7 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
         "task": sim.task_name,
         "command": recipe,
         "overrides": [],
+        "checkpoints": {},
         "robots": robots,
         "robot_sources": robots,
         "joint_maps": {robot: manifest["joint_maps"][robot] for robot in robots},
@@ -72,11 +72,9 @@ def main() -> None:
         sys.exit(str(error))
     arguments.folder.mkdir(parents=True)
     checkpoint = arguments.folder / f"model_{state['iter']}.pt"
-    torch.save({**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}, checkpoint)
-    manifest["checkpoints"] = {checkpoint.name: hashlib.sha256(checkpoint.read_bytes()).hexdigest()}
-    (arguments.folder / "manifest.json").write_text(
-        json.dumps(manifest, separators=(",", ":")) + "\n", encoding="utf-8"
-    )
+    (arguments.folder / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
+    kept = {**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}
+    run_dir.save_checkpoint(checkpoint, lambda file: torch.save(kept, file))
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
 
 

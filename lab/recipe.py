@@ -1,9 +1,9 @@
 """Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT`.
 
 A recipe is a folder with a `plan.toml` and train configs. Each stage of the plan is a run of
-`polypod train`. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output
-in `OUT/<stage>.log`. A stage whose model is there is not trained again, so that a recipe goes on
-where it ended, also on another machine.
+`polypod train`. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output in
+`OUT/<stage>.log`. A stage whose model is there is not trained again. So a recipe goes on where it
+ended, also on another machine.
 """
 
 import argparse
@@ -19,7 +19,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from polypod import _core
 from polypod.compat import tomllib
+from polypod.runs import run_dir
 
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
@@ -102,15 +104,8 @@ def command(recipe: Recipe, stage: Stage, out: Path) -> list[str]:
         start = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={stage.workers}"]
         start += ["-m", "polypod"]
     words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
-    words += [
-        "--robots",
-        ",".join(recipe.robots(stage.robots, out)),
-        "--seed",
-        str(stage.seed),
-        "--log-dir",
-        str(out / "runs" / stage.name),
-    ]
-    words += ["--logger", "none"]
+    words += ["--robots", ",".join(recipe.robots(stage.robots, out)), "--seed", str(stage.seed), "--logger", "none"]
+    words += ["--log-dir", str(out / "runs" / stage.name)]
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
     if stage.init is not None:
@@ -162,13 +157,14 @@ def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None) -> str
 
 def keep(name: str, out: Path) -> str:
     """Puts the last checkpoint of a stage's run with its manifest where other stages find it."""
-    models = sorted((out / "runs" / name).glob("rsl_rl/*/*/model_*.pt"), key=lambda path: path.stat().st_mtime)
-    if not models:
+    try:
+        model = run_dir.find_checkpoint(out / "runs" / name, "latest")
+    except _core.ConfigError:
         return "no checkpoint"
     (out / name).mkdir(exist_ok=True)
-    shutil.copy(models[-1], out / name / "model.pt")
-    shutil.copy(models[-1].parent / "manifest.json", out / name / "manifest.json")
-    return models[-1].name
+    shutil.copy(model, out / name / "model.pt")
+    shutil.copy(model.parent / run_dir.MANIFEST, out / name / run_dir.MANIFEST)
+    return model.name
 
 
 def main() -> None:

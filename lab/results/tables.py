@@ -262,7 +262,7 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
 
     of_other_robots = len({tuple(robots) for robots in found.values()}) > 1
     of_walking = {group: all(_judged(results) for results in robots.values()) for group, robots in found.items()}
-    if len(found) > 1 and of_other_robots and all(of_walking.values()):
+    if of_other_robots and all(of_walking.values()):
         # policies of different bodies, each judged: a table each
         return [part for group, robots in found.items() for part in _by_robot({group: robots})]
     if len(found) == 1:

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.arrays import Array
+from polypod.evaluation.walking import numbers_of
 
 TILT = math.radians(20.0)
 """Largest angle of a base that is up from the direction wanted, rad."""
@@ -42,7 +43,7 @@ class Rising:
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Rising":
         """Reads the result of `dataclasses.asdict`; None stands for NaN."""
-        return cls(**{key: math.nan if value is None else value for key, value in content.items()})
+        return cls(**numbers_of(cls, content))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -263,8 +263,8 @@ class Walking:
 
         Raises KeyError or TypeError for anything else.
         """
-        by_kind = {kind: Segments(**_numbers(Segments, entry)) for kind, entry in content["by_kind"].items()}
-        return cls(**{**_numbers(cls, content), "kinds": tuple(content["kinds"]), "by_kind": by_kind})
+        by_kind = {kind: Segments(**numbers_of(Segments, entry)) for kind, entry in content["by_kind"].items()}
+        return cls(**{**numbers_of(cls, content), "kinds": tuple(content["kinds"]), "by_kind": by_kind})
 
 
 FIGURES = tuple(
@@ -273,7 +273,8 @@ FIGURES = tuple(
 """Names of the numbers that describe a robot."""
 
 
-def _numbers(kind: type[Any], content: Mapping[str, Any]) -> dict[str, Any]:
+def numbers_of(kind: type[Any], content: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a dataclass from the result of `dataclasses.asdict`; None stands for NaN."""
     floats = {field.name for field in dataclasses.fields(kind) if field.type is float}
     return {key: math.nan if value is None and key in floats else value for key, value in content.items()}
 

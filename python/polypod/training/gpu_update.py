@@ -127,8 +127,7 @@ class Update:
         """Gradients of the parameters, losses, divergence: what several workers sum."""
         self._advantage_moments = torch.zeros(2, dtype=torch.float64, device=device)
         """Mean and deviation over a mini-batch of several workers."""
-        # NCCL's own thread goes on while a graph is captured
-        self._graphs = Graphs(device, self._changed, "global" if workers.count == 1 else "thread_local")
+        self._graphs = Graphs(device, self._changed, workers.count == 1)
 
     def run(self, learning_rate: float, entropy_coef: float, desired_kl: float | None) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
@@ -164,9 +163,7 @@ class Update:
         with torch.no_grad():
             observations = self._observations(torch.arange(len(samples["actions"]), device=self._device))
             for network in self._networks:
-                buffers = dict(network.named_buffers())
-                network.update_normalization(observations)
-                keep_in_place(network, buffers)
+                update_normalization(network, observations)
         value, surrogate, entropy, rate = torch.cat([self._losses, self._rate.view(1)]).tolist()
         if not np.isfinite([value, surrogate, entropy]).all():
             raise _core.ConfigError(
@@ -328,11 +325,14 @@ class Update:
         rate.copy_(torch.where(mean > wanted * 2.0, slower, torch.where(is_small, faster, rate)))
 
 
-def keep_in_place(module: nn.Module, buffers: dict[str, torch.Tensor]) -> None:
-    """Moves buffers that were replaced back to where they were, which is where graphs read them."""
+@torch.no_grad()
+def update_normalization(network: MLPModel, observations: TensorDict) -> None:
+    """Takes observations into the network's statistics, which stay where graphs read them."""
+    buffers = dict(network.named_buffers())
+    network.update_normalization(observations)
     for name, old in buffers.items():
         owner, _, leaf = name.rpartition(".")
-        new = module.get_buffer(name)
+        new = network.get_buffer(name)
         if new is not old:
             old.copy_(new)
-            setattr(module.get_submodule(owner), leaf, old)
+            setattr(network.get_submodule(owner), leaf, old)

@@ -14,16 +14,17 @@ class Graphs:
     On another device they are computed as they are.
     """
 
-    def __init__(self, device: torch.device, changed: Callable[[], list[torch.Tensor]], mode: str = "global") -> None:
+    def __init__(self, device: torch.device, changed: Callable[[], list[torch.Tensor]], is_alone: bool) -> None:
         """Before the first step.
 
         Args:
             device: where the steps compute.
             changed: the tensors that steps change and begin with. A capture leaves them as they
                 were.
-            mode: see `capture_error_mode` of `torch.cuda.graph`.
+            is_alone: no other worker learns along, whose NCCL goes on during a capture in a thread.
         """
-        self._device, self._changed, self._mode = device, changed, mode
+        self._device, self._changed = device, changed
+        self._mode = "global" if is_alone else "thread_local"
         self._graphs: dict[Hashable, torch.cuda.CUDAGraph] = {}
 
     def run(self, key: Hashable, step: Callable[[], None]) -> None:

@@ -75,8 +75,7 @@ class Rollout(Samples):
         self._told = {name: torch.zeros(self._shape, pin_memory=is_cuda) for name in ("rewards", "dones", "time_outs")}
         """[steps, envs], of the envs."""
         self._received = {name: torch.zeros(self._shape, device=device) for name in self._told}
-        mode = "global" if workers.count == 1 else "thread_local"
-        self._graphs = Graphs(device, self._changed, mode)
+        self._graphs = Graphs(device, self._changed, workers.count == 1)
 
     @torch.no_grad()
     def collect(self, logger: TrainingLogger) -> None:

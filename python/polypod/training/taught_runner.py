@@ -15,7 +15,7 @@ from polypod.networks.urma import counted
 from polypod.tensors import tensor_over
 from polypod.training import deviations
 from polypod.training.adam import give_moments, graph_adam, take_moments, tensors_of
-from polypod.training.gpu_update import keep_in_place
+from polypod.training.gpu_update import update_normalization
 from polypod.training.graphs import Graphs
 from polypod.training.runner import Runner
 from polypod.training.teachers import ManyTeachers
@@ -57,8 +57,7 @@ class TaughtRunner(Runner):
             parameter.grad = torch.zeros_like(parameter)
         self._count = 0
         """Samples that this iteration has learned from."""
-        mode = "global" if self.workers.count == 1 else "thread_local"
-        self._graphs = Graphs(device, self._changed, mode)
+        self._graphs = Graphs(device, self._changed, self.workers.count == 1)
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         """Takes the steps of an iteration, and learns from each of them for the first time."""
@@ -87,10 +86,7 @@ class TaughtRunner(Runner):
         alg = self.alg
         for _ in range(self._steps * (alg.num_learning_epochs - 1)):
             self._learn()
-        with torch.no_grad():
-            buffers = dict(alg.student.named_buffers())
-            alg.student.update_normalization(alg.storage.observations.flatten(0, 1))
-            keep_in_place(alg.student, buffers)
+        update_normalization(alg.student, alg.storage.observations.flatten(0, 1))
         return alg.figures(self._errors / self._count)
 
     @torch.no_grad()

@@ -119,6 +119,26 @@ def group_sizes(sim):
     return [(term["term"], term["size"]) for term in json.loads(sim.observation_terms("teacher"))]
 
 
+def options_of(specialist, folder, changes, distillation, **options):
+    """Options of a training of a student of `ROBOTS`; `distillation` are keys of its section."""
+    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
+    return session.Options(
+        **OPTIONS,
+        **options,
+        log_dir=folder,
+        task=TASK,
+        robots=ROBOTS,
+        train_config="any_legged",
+        overrides=[
+            *GROUPS,
+            *SHORT,
+            "train.run.symmetry=false",
+            *changes,
+            f"train.distillation={{teachers={{{named}}}, gradient_length=1, {distillation}}}",
+        ],
+    )
+
+
 def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypatch, capsys):
     losses, shares = [], []
 
@@ -130,30 +150,13 @@ def test_a_student_of_many_bodies_learns_from_all(specialist, tmp_path, monkeypa
 
     original = TaughtRunner._update
     monkeypatch.setattr(TaughtRunner, "_update", recorded)
-    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
-    options = session.Options(
-        **OPTIONS,
-        log_dir=tmp_path,
-        task=TASK,
-        robots=ROBOTS,
-        num_envs=12,
-        max_iterations=16,
-        train_config="any_legged",
-        overrides=[
-            *GROUPS,
-            *SHORT,
-            "train.run.num_steps_per_env=8",
-            "train.run.symmetry=false",
-            "train.algorithm.num_learning_epochs=4",
-            "train.algorithm.learning_rate=0.003",
-            "train.actor.joint_dim=32",
-            "train.actor.num_heads=8",
-            "train.actor.hidden_dims=[64]",
-            "train.critic.hidden_dims=[16]",
-            "train.actor.init_std=0.3",
-            f"train.distillation={{teachers={{{named}}}, gradient_length=1, teacher_share=1.0, teacher_iterations=5}}",
-        ],
+    changes = (
+        *("train.run.num_steps_per_env=8", "train.algorithm.num_learning_epochs=4"),
+        *("train.algorithm.learning_rate=0.003", "train.actor.joint_dim=32", "train.actor.num_heads=8"),
+        *("train.actor.hidden_dims=[64]", "train.critic.hidden_dims=[16]", "train.actor.init_std=0.3"),
     )
+    distillation = "teacher_share=1.0, teacher_iterations=5"
+    options = options_of(specialist, tmp_path, changes, distillation, num_envs=12, max_iterations=16)
     assert session.train(options) == 0
     assert losses[-1]["behavior"] < 0.2 * losses[0]["behavior"]
     for robot in ROBOTS:
@@ -196,25 +199,9 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
 
     original = TaughtRunner._update
     monkeypatch.setattr(TaughtRunner, "_update", recorded)
-    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
-    options = session.Options(
-        **OPTIONS,
-        log_dir=tmp_path,
-        task=TASK,
-        robots=ROBOTS,
-        num_envs=12,
-        max_iterations=3,
-        train_config="any_legged",
-        overrides=[
-            *GROUPS,
-            *SHORT,
-            "env_shares.unitree_go2=4",
-            "train.run.symmetry=false",
-            "train.algorithm.learning_rate=0.003",
-            f"train.distillation={{teachers={{{named}}}, gradient_length=1, weights='{weights}', "
-            "final_learning_rate=0.001}",
-        ],
-    )
+    changes = ("env_shares.unitree_go2=4", "train.algorithm.learning_rate=0.003")
+    distillation = f"weights='{weights}', final_learning_rate=0.001"
+    options = options_of(specialist, tmp_path, changes, distillation, num_envs=12, max_iterations=3)
     assert session.train(options) == 0
     assert rates == pytest.approx([0.003, 0.002, 0.001])
     assert sums == pytest.approx([share] * 3)
@@ -222,23 +209,9 @@ def test_shares_of_envs_may_weigh_robots_and_the_rate_may_fall(specialist, tmp_p
 
 def of_three(specialist, folder, iterations, *changes):
     """Options of a short distillation."""
-    named = ", ".join(f"{json.dumps(robot)}={json.dumps(path)}" for robot, path in paths(specialist).items())
-    small = ("run.num_steps_per_env=6", "run.symmetry=false", "actor.joint_dim=16", "actor.hidden_dims=[32]")
-    return session.Options(
-        **OPTIONS,
-        log_dir=folder,
-        task=TASK,
-        robots=ROBOTS,
-        num_envs=6,
-        max_iterations=iterations,
-        train_config="any_legged",
-        overrides=[
-            *GROUPS,
-            *SHORT,
-            *(f"train.{change}" for change in (*small, *changes)),
-            f"train.distillation={{teachers={{{named}}}, gradient_length=1, teacher_share=0.5}}",
-        ],
-    )
+    small = ("run.num_steps_per_env=6", "actor.joint_dim=16", "actor.hidden_dims=[32]")
+    overrides = [f"train.{change}" for change in (*small, *changes)]
+    return options_of(specialist, folder, overrides, "teacher_share=0.5", num_envs=6, max_iterations=iterations)
 
 
 def test_a_distillation_goes_on_as_if_it_had_not_stopped(specialist, tmp_path):
