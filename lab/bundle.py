@@ -1,7 +1,7 @@
 """Makes a bundled policy of a recipe's model: `python -m lab.bundle MODEL FOLDER --task NAME`.
 
-The networks stay, and the manifest with the robots of the library. Drawn robots leave
-their descriptions alone. By them a policy says how far a body is from those of its training.
+The networks stay, and the manifest with the robots of the library. Drawn robots are reduced to
+their descriptions, by which a policy says how far a body is from those of its training.
 """
 
 import argparse
