@@ -7,20 +7,18 @@ device.
 
 from collections.abc import Callable
 
-import numpy as np
 import torch
 from rsl_rl.algorithms import PPO
 from rsl_rl.utils import check_nan
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.networks.masked import ACTION_MASK
 from polypod.networks.urma import JointCounts, UrmaModel, counted
 from polypod.rsl_rl import VecEnv
 from polypod.runs.schema import TrainConfig
-from polypod.tensors import tensor_over
 from polypod.training import deviations
 from polypod.training.advantages import EPSILON, normalize_per_robot
+from polypod.training.exchange import Exchange
 from polypod.training.gpu_update import Samples, ask_policy
 from polypod.training.graphs import Graphs
 from polypod.training.logger import TrainingLogger
@@ -47,10 +45,10 @@ class Rollout(Samples):
             reward_scale: of each robot's rewards; None: rewards stay as they are.
             workers: those that have the other envs.
         """
-        observed, device = env.get_observations(), env.device
-        steps, batches = config.run.num_steps_per_env, config.algorithm.num_mini_batches
-        widths = {name: tensor.shape[1] for name, tensor in observed.items() if name != ACTION_MASK}
-        super().__init__(widths, env.num_actions, steps * env.num_envs, device)
+        device, steps = env.device, config.run.num_steps_per_env
+        batches = config.algorithm.num_mini_batches
+        self._exchange = Exchange(env, steps)
+        super().__init__(self._exchange.widths, env.num_actions, steps * env.num_envs, device)
         self._actor, self._critic, self._env, self._algorithm = alg.actor, alg.critic, env, config.algorithm
         self._is_per_robot = config.run.normalize_advantage_per_robot
         self._reward_scale, self._workers = reward_scale, workers
@@ -63,39 +61,31 @@ class Rollout(Samples):
         self.batch_sizes = [size] * batches
         self.order = self.order[: size * batches]
         if steps % batches == 0:
-            self.counts = _joint_counts(env, [alg.actor, alg.critic], observed)
+            self.counts = _joint_counts(env, [alg.actor, alg.critic], env.get_observations())
         in_turn = torch.arange(steps, device=device).unsqueeze(1) + torch.arange(env.num_envs, device=device)
         self.places = in_turn.flatten()
         self._step = torch.zeros(1, dtype=torch.int64, device=device)
-        self._inputs = {name: torch.zeros((env.num_envs, width), device=device) for name, width in widths.items()}
-        self._observed = TensorDict({**observed, **self._inputs}, batch_size=[env.num_envs], device=device)
-        self._drawn = torch.zeros((env.num_envs, env.num_actions), device=device)
-        is_cuda = device.type == "cuda"
-        self._actions = torch.zeros(self._drawn.shape, pin_memory=is_cuda)
-        self._told = {name: torch.zeros(self._shape, pin_memory=is_cuda) for name in ("rewards", "dones", "time_outs")}
-        """[steps, envs], of the envs."""
-        self._received = {name: torch.zeros(self._shape, device=device) for name in self._told}
+        self._received = {name: torch.zeros(self._shape, device=device) for name in self._exchange.told}
         self._graphs = Graphs(device, self._changed, workers.count == 1)
 
     @torch.no_grad()
     def collect(self, logger: TrainingLogger) -> None:
         """Takes the steps of an iteration, and estimates returns and advantages."""
+        exchange, told = self._exchange, self._exchange.told
         self._step.zero_()
         for step in range(self._shape[0]):
-            self._env.observe_into(self._inputs)
+            exchange.observe()
             self._graphs.run("act", self._act)
-            self._actions.copy_(self._drawn, non_blocking=True)
+            exchange.fetch_actions()
             self._log(logger, step - 1)  # while the device computes
             self._synchronize()
-            figures = self._env.step_on_host(self._actions)
-            for told, figure in zip(self._told.values(), figures, strict=True):
-                told[step].copy_(tensor_over(np.asarray(figure)))
-        self._env.observe_into(self._inputs)
+            exchange.step(step)
+        exchange.observe()
         for name, received in self._received.items():
-            received.copy_(self._told[name], non_blocking=True)
+            received.copy_(told[name], non_blocking=True)
         self._log(logger, self._shape[0] - 1)
-        check_nan(TensorDict(self.observations), self._told["rewards"], self._told["dones"])
-        check_nan(self._observed, self._told["rewards"], self._told["dones"])
+        check_nan(TensorDict(self.observations), told["rewards"], told["dones"])
+        check_nan(exchange.observed, told["rewards"], told["dones"])
         self._run_alone("estimate", self._estimate)
         self._draw_order()
 
@@ -109,7 +99,7 @@ class Rollout(Samples):
 
     def _act(self) -> None:
         """Draws the actions of a step and keeps its samples."""
-        observed, actor = self._observed, self._actor
+        observed, actor = self._exchange.observed, self._actor
         with counted([actor, self._critic], self.counts):
             ask_policy(actor, observed)
             values = self._critic(observed)
@@ -119,12 +109,12 @@ class Rollout(Samples):
         if mask:
             actions = actions * mask[0]
         log_probs = actor.get_output_log_prob(actions).unsqueeze(1)
-        self._drawn.copy_(actions)
+        self._exchange.drawn.copy_(actions)
         samples = {"actions": actions, "means": mean, "values": values, "log_probs": log_probs, "deviations": std}
         for name, value in samples.items():
             if name in self.numbers:
                 self._keep(self.numbers[name], value)
-        for name, value in self._inputs.items():
+        for name, value in self._exchange.inputs.items():
             self._keep(self.observations[name], value)
         self._step.add_(1).remainder_(self._shape[0])
 
@@ -134,7 +124,7 @@ class Rollout(Samples):
     def _estimate(self) -> None:
         """Returns and advantages, as rsl_rl computes them."""
         with counted([self._critic], self.counts):
-            following = self._critic(self._observed).squeeze(1)
+            following = self._critic(self._exchange.observed).squeeze(1)
         values, returns = (self.numbers[name].view(self._shape) for name in ("values", "returns"))
         algorithm, (steps, _) = self._algorithm, self._shape
         rewards, dones, time_outs = (self._received[name] for name in ("rewards", "dones", "time_outs"))
@@ -185,11 +175,13 @@ class Rollout(Samples):
 
     def _log(self, logger: TrainingLogger, step: int) -> None:
         if step >= 0:
-            logger.process_env_step(self._told["rewards"][step], self._told["dones"][step], {})
+            told = self._exchange.told
+            logger.process_env_step(told["rewards"][step], told["dones"][step], {})
 
     def _synchronize(self) -> None:
-        if self._drawn.is_cuda:
-            torch.cuda.current_stream(self._drawn.device).synchronize()
+        drawn = self._exchange.drawn
+        if drawn.is_cuda:
+            torch.cuda.current_stream(drawn.device).synchronize()
 
 
 def _joint_counts(env: VecEnv, models: list[torch.nn.Module], observed: TensorDict) -> JointCounts:

@@ -5,16 +5,14 @@ In the first epoch the device learns from a control step while the simulator tak
 
 from typing import Any
 
-import numpy as np
 import torch
 from rsl_rl.utils import check_nan
 from tensordict import TensorDict
 
-from polypod.networks.masked import ACTION_MASK
 from polypod.networks.urma import counted
-from polypod.tensors import tensor_over
 from polypod.training import deviations
 from polypod.training.adam import give_moments, graph_adam, take_moments, tensors_of
+from polypod.training.exchange import Exchange
 from polypod.training.gpu_update import update_normalization
 from polypod.training.graphs import Graphs
 from polypod.training.runner import Runner
@@ -31,22 +29,13 @@ class TaughtRunner(Runner):
 
     def _prepare(self) -> None:
         env, device = self.env, torch.device(self.device)
-        is_cuda = device.type == "cuda"
-        if is_cuda:
+        if device.type == "cuda":
             # torch's idle threads would spin where the simulator's want to work
             torch.set_num_threads(1)
         self.logger.keep_on_host()
-        observed = env.get_observations()
-        widths = {name: tensor.shape[1] for name, tensor in observed.items() if name != ACTION_MASK}
-        self._inputs = {name: torch.zeros((env.num_envs, width), device=device) for name, width in widths.items()}
-        self._observed = TensorDict({**observed, **self._inputs}, batch_size=[env.num_envs], device=device)
-        shape = (env.num_envs, env.num_actions)
         self._steps: int = self.cfg["num_steps_per_env"]
-        self._drawn, self._deviations = (torch.zeros(shape, device=device) for _ in range(2))
-        self._errors = torch.zeros(shape, device=device)
-        self._actions = torch.zeros(shape, pin_memory=is_cuda)
-        self._told = {name: torch.zeros(self._steps, env.num_envs) for name in ("rewards", "dones")}
-        """[steps, envs], of the envs."""
+        self._exchange = Exchange(env, self._steps)
+        self._deviations, self._errors = (torch.zeros_like(self._exchange.drawn) for _ in range(2))
         self._place, self._read = (torch.zeros(1, dtype=torch.int64, device=device) for _ in range(2))
         """Control steps of the sample that is taken, and of the one that is learned from."""
         self._share = torch.zeros((), device=device)
@@ -65,20 +54,19 @@ class TaughtRunner(Runner):
         self._share.fill_(self.alg.teacher_share)
         self._rate.fill_(self.alg.learning_rate)
         self._count = 0
+        exchange, told = self._exchange, self._exchange.told
         for step in range(self._steps):
-            self.env.observe_into(self._inputs)
+            exchange.observe()
             self._place.fill_(step)
             self._graphs.run("act", self._act)
-            self._actions.copy_(self._drawn, non_blocking=True)
+            exchange.fetch_actions()
             drawn = self._event()
             self._learn()
             if drawn is not None:
                 drawn.synchronize()
-            rewards, dones, _ = self.env.step_on_host(self._actions)
-            for told, figure in zip(self._told.values(), (rewards, dones), strict=True):
-                told[step].copy_(tensor_over(np.asarray(figure)))
-            self.logger.process_env_step(self._told["rewards"][step], self._told["dones"][step], {})
-        check_nan(self.alg.storage.observations.flatten(0, 1), self._told["rewards"], self._told["dones"])
+            exchange.step(step)
+            self.logger.process_env_step(told["rewards"][step], told["dones"][step], {})
+        check_nan(self.alg.storage.observations.flatten(0, 1), told["rewards"], told["dones"])
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
@@ -92,13 +80,14 @@ class TaughtRunner(Runner):
     @torch.no_grad()
     def _act(self) -> None:
         """Draws the actions of a step and keeps what there is to learn from it."""
-        actions, labels, std = self.alg.choose(self._observed, self._share)
-        self._drawn.copy_(actions)
+        observed = self._exchange.observed
+        actions, labels, std = self.alg.choose(observed, self._share)
+        self._exchange.drawn.copy_(actions)
         self._deviations.copy_(std.expand_as(actions))
         storage = self.alg.storage
         storage.privileged_actions.index_copy_(0, self._place, labels.unsqueeze(0))
         for name, samples in storage.observations.items():
-            samples.index_copy_(0, self._place, self._observed[name].unsqueeze(0))
+            samples.index_copy_(0, self._place, observed[name].unsqueeze(0))
 
     def _learn(self) -> None:
         """Learns from the next sample."""
@@ -144,10 +133,11 @@ class TaughtRunner(Runner):
 
     def _event(self) -> torch.cuda.Event | None:
         """The point of the device's work so far; None: on a CPU all is done."""
-        if not self._drawn.is_cuda:
+        drawn = self._exchange.drawn
+        if not drawn.is_cuda:
             return None
         event = torch.cuda.Event()  # type: ignore[no-untyped-call]
-        event.record(torch.cuda.current_stream(self._drawn.device))
+        event.record(torch.cuda.current_stream(drawn.device))
         return event
 
     def _optimizer(self) -> torch.optim.Optimizer:

@@ -306,7 +306,8 @@ class ManyTeachers(Distillation):
         for group in self.optimizer.param_groups:
             group["lr"] = rate
 
-    def choose(self, obs: TensorDict, share: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    @torch.no_grad()
+    def choose(self, obs: TensorDict, share: torch.Tensor | float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Draws what the robots do, and asks teachers what they would do; nothing waits for a GPU.
 
         Args:
@@ -327,12 +328,7 @@ class ManyTeachers(Distillation):
 
     def act(self, obs: TensorDict) -> torch.Tensor:
         """Actions of the student, or of the teacher with the student's noise."""
-        with counted([self.student], self.counts):
-            actions = self.student(obs, stochastic_output=True).detach()
-        labels = self.teacher(obs)
-        if self.teacher_share > 0.0:
-            noise = actions - self.student.output_mean.detach()
-            actions = torch.where(self._order < self.teacher_share, labels + noise, actions)
+        actions, labels, _ = self.choose(obs, self.teacher_share)
         self.transition.actions, self.transition.privileged_actions = actions, labels
         self.transition.observations = _seen(obs, self._student_groups)
         return actions

@@ -89,7 +89,9 @@ def store(reference, rollout, last):
         actions = rows(rollout["actions"], step)
         alg.transition.actions, alg.transition.actions_log_prob = actions, alg.actor.get_output_log_prob(actions)
         assert_near(rows(rollout["log_probs"], step), alg.transition.actions_log_prob, "log-densities")
-        rewards, dones, time_outs = (rollout._told[name][step].clone() for name in ("rewards", "dones", "time_outs"))
+        rewards, dones, time_outs = (
+            rollout._exchange.told[name][step].clone() for name in ("rewards", "dones", "time_outs")
+        )
         if reference.reward_scale is not None:
             rewards = reference.reward_scale(rewards, dones)
         alg.process_env_step(last, rewards, dones.long(), {"time_outs": time_outs})
@@ -121,7 +123,7 @@ def test_updates_are_equal(variant, device, tmp_path, monkeypatch):
         last = graphs.env.get_observations().cpu()
         with torch.inference_mode():
             store(reference, rollout, last)
-        assert {0.0, 1.0} == set(rollout._told["dones"].unique().tolist())
+        assert {0.0, 1.0} == set(rollout._exchange.told["dones"].unique().tolist())
         order = rollout.order.cpu().clone()
         assert len(order.unique()) == len(order) == STEPS * ENVS // len(rollout.batch_sizes) * len(rollout.batch_sizes)
         monkeypatch.setattr(torch, "randperm", lambda count, order=order, **_: order[:count])
