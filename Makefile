@@ -23,7 +23,7 @@ endif
 unexport CARGO_TARGET_DIR CARGO_BUILD_TARGET_DIR CONDA_PREFIX
 export VIRTUAL_ENV := $(CURDIR)/$(VENV)
 
-CRATES := crates/dynamics crates/lanes crates/learner crates/python
+CRATES := $(filter-out crates/sim,$(wildcard crates/*))
 LIBRARY_SOURCES := Cargo.toml Cargo.lock $(shell find src systems $(CRATES) configs assets/robots workspace-hack -type f 2>/dev/null)
 PROGRAM_SOURCES := $(LIBRARY_SOURCES) $(shell find crates/sim -type f 2>/dev/null)
 

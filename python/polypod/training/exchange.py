@@ -1,4 +1,4 @@
-"""What a learner's device and the simulator exchange in a control step, in memory that stays."""
+"""Memory through which a learner's device and the simulator exchange a control step."""
 
 import numpy as np
 import torch

@@ -7,6 +7,7 @@ import collections
 import json
 import re
 import subprocess
+from pathlib import Path
 from typing import Any
 
 from common import ROOT
@@ -83,3 +84,29 @@ def test_every_ignored_advisory_has_a_crate_and_a_reason() -> None:
         assert re.fullmatch(r"RUSTSEC-\d{4}-\d{4}", advisory["id"])
         assert crate in names, f"{advisory['id']}: {crate} is no dependency any more"
         assert len(reason.split()) > 5
+
+
+def crates_of(name: str) -> set[str]:
+    """Folders in crates/ of a package of the workspace and of all that it is built from."""
+    metadata = resolved()
+    packages = {package["id"]: package for package in metadata["packages"]}
+    nodes = {node["id"]: node for node in metadata["resolve"]["nodes"]}
+    found, todo = set(), [package["id"] for package in packages.values() if package["name"] == name]
+    while todo:
+        package = todo.pop()
+        if package in found or packages[package]["source"] is not None:
+            continue
+        found.add(package)
+        kinds = {dep["pkg"]: {kind["kind"] for kind in dep["dep_kinds"]} for dep in nodes[package]["deps"]}
+        todo += [dep for dep, of in kinds.items() if of - {"dev"}]
+    folders = [Path(packages[package]["manifest_path"]).parent.relative_to(ROOT).as_posix() for package in found]
+    return {folder for folder in folders if folder.startswith("crates/")}
+
+
+def test_make_builds_again_after_a_change_in_any_crate() -> None:
+    database = subprocess.run(["make", "-pn", "help"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    [sources] = re.findall(r"^LIBRARY_SOURCES :?= (.*)$", database, re.MULTILINE)
+    watched = {"/".join(source.split("/")[:2]) for source in sources.split()}
+    crates = crates_of("polypod-python")
+    assert {"crates/cuda", "crates/dynamics", "crates/lanes"} <= crates
+    assert crates - watched == set()
