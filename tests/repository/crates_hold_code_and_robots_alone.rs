@@ -34,10 +34,13 @@ fn the_library_is_small() {
 
 #[test]
 fn the_kernels_are_code_alone() {
-    let ends = [".rs", ".md", "Cargo.toml", "Cargo.toml.orig", "Cargo.lock", ".cargo_vcs_info.json"];
-    for (package, needed) in
-        [("polypod-lanes", "native.rs"), ("polypod-dynamics", "kernels.rs"), ("polypod-learner", "matrix.rs")]
-    {
+    let ends = [".rs", ".h", ".cu", ".md", "Cargo.toml", "Cargo.toml.orig", "Cargo.lock", ".cargo_vcs_info.json"];
+    for (package, needed) in [
+        ("polypod-lanes", "native.rs"),
+        ("polypod-dynamics", "kernels.rs"),
+        ("polypod-learner", "matrix.rs"),
+        ("polypod-cuda", "driver.rs"),
+    ] {
         let files = packed(package);
         assert!(files.contains(&format!("src/{needed}")), "{package}: {files:?}");
         assert_eq!(files.iter().find(|file| !ends.iter().any(|end| file.ends_with(end))), None, "{package}");

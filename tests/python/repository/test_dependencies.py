@@ -86,6 +86,27 @@ def test_every_ignored_advisory_has_a_crate_and_a_reason() -> None:
         assert len(reason.split()) > 5
 
 
+def test_all_that_a_published_crate_needs_is_published() -> None:
+    """A registry has only what is published, and cargo asks it for what a manifest gives a version."""
+    own = {package["name"]: package for package in resolved()["packages"] if package["source"] is None}
+    published = {name for name, package in own.items() if package["publish"] is None}
+    assert {"polypod", "polypod-dynamics", "polypod-cuda"} <= published
+    needed = {
+        (name, dep["name"], "no version" if dep["req"] == "*" else "version")
+        for name in published
+        for dep in own[name]["dependencies"]
+        if dep["name"] in own and dep["kind"] != "dev"
+    }
+    assert [entry for entry in sorted(needed) if entry[1] not in published or entry[2] == "no version"] == []
+    of_tests = {
+        (name, dep["name"])
+        for name in published
+        for dep in own[name]["dependencies"]
+        if dep["name"] in own and dep["kind"] == "dev" and dep["req"] != "*"
+    }
+    assert of_tests == set(), "a crate of the workspace that tests need is named by its path alone"
+
+
 def crates_of(name: str) -> set[str]:
     """Folders in crates/ of a package of the workspace and of all that it is built from."""
     metadata = resolved()
