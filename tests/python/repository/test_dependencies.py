@@ -87,7 +87,7 @@ def test_every_ignored_advisory_has_a_crate_and_a_reason() -> None:
 
 
 def test_all_that_a_published_crate_needs_is_published() -> None:
-    """A registry has only what is published, and cargo asks it for what a manifest gives a version."""
+    """Cargo asks the registry for each dependency with a version."""
     own = {package["name"]: package for package in resolved()["packages"] if package["source"] is None}
     published = {name for name, package in own.items() if package["publish"] is None}
     assert {"polypod", "polypod-dynamics", "polypod-cuda"} <= published
