@@ -97,7 +97,7 @@ impl StateLimits {
                 allowed = S::select(x.abs().lt(limit), allowed, S::zero());
             }
         }
-        S::any(allowed.lt(S::one()))
+        S::when(allowed.lt(S::one())).is_some()
     }
 }
 

@@ -200,17 +200,17 @@ impl Lists {
         let blocks = topology.blocks();
         let carriers = self.here();
         header[T_CARRIER] = carriers;
-        let all = blocks.iter().flat_map(|block| &block.carriers);
+        let all = blocks.iter().flat_map(|block| topology.carriers_of(block));
         self.integers.extend(all.flat_map(|carrier| [carrier.block, carrier.count]));
         header[T_BLOCK] = self.here();
         for block in blocks {
-            let (count, first) = (block.carriers.len(), block.first_coupling);
+            let (count, first) = (block.num_carriers, block.first_coupling);
             self.integers.extend(block.joints);
             self.integers.extend([block.len, count, carriers + CARRIER_SIZE * first, first]);
         }
         let mut trees: Vec<Vec<usize>> = Vec::new();
         for (b, block) in blocks.iter().enumerate() {
-            let root = block.carriers.last().map(|carrier| carrier.block);
+            let root = topology.carriers_of(block).last().map(|carrier| carrier.block);
             match trees.iter_mut().find(|tree| tree.first().copied() == root) {
                 Some(tree) => tree.push(b),
                 None => trees.push(vec![b]),
@@ -251,7 +251,8 @@ impl Lists {
             let place = |block: usize| path.iter().position(|&(other, _)| other == block);
             let mut parts = Vec::new();
             for &(block, count) in path {
-                let places: Vec<usize> = blocks[block].carriers.iter().filter_map(|c| place(c.block)).collect();
+                let places: Vec<usize> =
+                    topology.carriers_of(&blocks[block]).iter().filter_map(|c| place(c.block)).collect();
                 parts.extend([block, count, places.len(), self.here()]);
                 self.integers.extend(places);
             }
@@ -328,7 +329,7 @@ fn paths_of_links(topology: &Topology) -> Vec<Vec<(usize, usize)>> {
     let mut paths = vec![Vec::new(); topology.num_links()];
     for (b, block) in topology.blocks().iter().enumerate() {
         for place in 0..block.len {
-            let carriers = block.carriers.iter().map(|carrier| (carrier.block, carrier.count));
+            let carriers = topology.carriers_of(block).iter().map(|carrier| (carrier.block, carrier.count));
             paths[block.joints[place] + 1] = std::iter::once((b, place + 1)).chain(carriers).collect();
         }
     }
@@ -508,7 +509,7 @@ fn place_columns(
     let (rows, colliders) = (num_rows(topology), topology.colliders.len());
     let impulses = topology.num_impulses();
     let spins = impulses - rows;
-    let couplings = topology.blocks().iter().map(|block| block.carriers.len()).sum::<usize>();
+    let couplings = topology.blocks().iter().map(|block| block.num_carriers).sum::<usize>();
     let mut columns = |lists: &[(usize, usize)]| {
         let mut places = Places { integers: header, next: 0 };
         for &(name, len) in lists {

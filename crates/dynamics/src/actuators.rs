@@ -70,9 +70,5 @@ pub(super) fn actuate<S: Real, B: BodyNumbers<S>>(
 /// Effort limit from a table over the joint position, N m.
 #[inline(always)]
 fn table_limit<S: Real>(table: &EffortTable, position: S) -> S {
-    let mut limit = S::zero();
-    for lane in 0..S::LANES {
-        limit.set_lane_f32(lane, table.limit_at(position.lane_f32(lane)));
-    }
-    limit
+    S::load(&S::gather(table, [position]))
 }

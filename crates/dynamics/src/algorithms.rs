@@ -132,7 +132,9 @@ impl<S: Real> Dynamics<'_, S> {
                 for t in 0..place {
                     set(j, first + block.joints[t], own.inner[place + t - 1]);
                 }
-                for (carrier, couplings) in block.carriers.iter().zip(&factor.couplings[block.first_coupling..]) {
+                for (carrier, couplings) in
+                    topology.carriers_of(block).iter().zip(&factor.couplings[block.first_coupling..])
+                {
                     for t in 0..carrier.count {
                         set(j, first + topology.blocks()[carrier.block].joints[t], couplings[place][t]);
                     }

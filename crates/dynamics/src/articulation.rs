@@ -1,6 +1,8 @@
 //! The [`Topology`]: the structure that all lanes of a pack share.
 
-use super::blocks::{BLOCK, Block, Blocks, PathPart};
+use super::blocks::{BLOCK, Block, Blocks, Carrier, PathPart, Paths};
+use super::lanes::{MOST_LANES, Table};
+use super::lists::Lists;
 
 /// How a joint moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,6 +93,20 @@ impl EffortTable {
     }
 }
 
+/// Effort limits, N m, by positions, rad.
+impl Table<1> for EffortTable {
+    type Found = [f32; MOST_LANES];
+
+    #[inline(always)]
+    fn look_up(&self, [position]: &[[f32; MOST_LANES]; 1], lanes: usize) -> Self::Found {
+        let mut found = [0.0; MOST_LANES];
+        for lane in 0..lanes {
+            found[lane] = self.limit_at(position[lane]);
+        }
+        found
+    }
+}
+
 /// Where a contact candidate sits on its link.
 #[derive(Clone, Copy, Debug)]
 pub enum ContactKind {
@@ -154,7 +170,7 @@ pub struct ColliderTopology {
 }
 
 /// Two colliders of different links that may touch each other.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct PairTopology {
     /// Colliders: a capsule, then a capsule or a box.
     pub colliders: [usize; 2],
@@ -165,10 +181,8 @@ pub struct PairTopology {
     pub(super) bodies: [usize; 2],
     /// The first of its impulses.
     pub(super) first_impulse: usize,
-    /// Path that holds the joints on the ways from both links to the base; and the side of each of
-    /// its joints: 1 carries the first link only, -1 the second only, 0 both.
+    /// Path that holds the joints on the ways from both links to the base.
     pub(super) path: usize,
-    pub(super) side: Vec<[f64; BLOCK]>,
 }
 
 /// The pairs between two links.
@@ -198,7 +212,10 @@ pub struct Topology {
     /// The same by links.
     pub(super) pair_groups: Vec<PairGroup>,
     /// `link_colliders[link]`: its places in `colliders`.
-    link_colliders: Vec<Vec<usize>>,
+    link_colliders: Lists<usize>,
+    /// `sides[pair]`: the side of each joint of its path: 1 carries the first link only, -1 the
+    /// second only, 0 both.
+    sides: Lists<[f64; BLOCK]>,
     /// Number of contact bodies.
     pub num_bodies: usize,
     /// Link of each site (a point whose position and velocity are reported, such as a foot).
@@ -214,7 +231,7 @@ pub struct Topology {
     pub friction: ContactFriction,
     blocks: Blocks,
     /// `paths[link]`: the joints that carry the link; after the links' the paths of the pairs.
-    paths: Vec<Vec<PathPart>>,
+    paths: Paths,
     /// `link_contacts[link]`: its range in `contacts`.
     link_contacts: Vec<std::ops::Range<usize>>,
     pair_of_impulse: Vec<usize>,
@@ -235,7 +252,8 @@ impl Topology {
         has_delay: bool,
     ) -> Self {
         let blocks = Blocks::new(&joints);
-        let paths: Vec<_> = (0..=joints.len()).map(|link| blocks.path(link)).collect();
+        let mut paths = Paths::default();
+        (0..=joints.len()).for_each(|link| paths.push(&blocks, &blocks.path(link)));
         contacts.sort_by_key(|c| c.link);
         let link_contacts = (0..paths.len())
             .map(|link| {
@@ -250,7 +268,8 @@ impl Topology {
             colliders: Vec::new(),
             pairs: Vec::new(),
             pair_groups: Vec::new(),
-            link_colliders: Vec::new(),
+            link_colliders: Lists::default(),
+            sides: Lists::default(),
             num_bodies,
             sites,
             has_delay,
@@ -271,7 +290,8 @@ impl Topology {
     /// # Panics
     /// If indices name colliders or links that do not exist; loaders guarantee that they do.
     pub fn set_pairs(&mut self, colliders: Vec<ColliderTopology>, pairs: &[([usize; 2], bool)]) {
-        let mut paths = self.paths[..self.num_links()].to_vec();
+        self.paths.truncate(self.num_links());
+        self.sides = Lists::default();
         let mut new: Vec<PairTopology> = Vec::new();
         let mut groups: Vec<PairGroup> = Vec::new();
         let mut pair_of_impulse = Vec::new();
@@ -281,15 +301,15 @@ impl Topology {
                 Some(group) if group.links == links_of(pair) => group.pairs.end += 1,
                 _ => groups.push(PairGroup { links: links_of(pair), pairs: new.len()..new.len() + 1 }),
             }
-            let [first, second] = links_of(pair).map(|link| self.path(link));
+            let [first, second] = links_of(pair).map(|link| self.blocks.path(link));
             let path = self.blocks.path_of_both(links_of(pair));
-            let carries = |path: &[PathPart], block: usize, place: usize| {
-                path.iter().any(|part| part.joints.block == block && place < part.joints.count)
+            let carries = |path: &[Carrier], block: usize, place: usize| {
+                path.iter().any(|part| part.block == block && place < part.count)
             };
-            let side_of = |part: &PathPart| {
-                let block = part.joints.block;
+            let side_of = |part: &Carrier| {
                 std::array::from_fn(|place| {
-                    f64::from(i8::from(carries(first, block, place)) - i8::from(carries(second, block, place)))
+                    let [first, second] = [&first, &second].map(|path| i8::from(carries(path, part.block, place)));
+                    f64::from(first - second)
                 })
             };
             let spans: &[[f64; 2]] = if long { &[[-1.0, 0.0], [0.0, 1.0]] } else { &[[-1.0, 1.0]] };
@@ -300,26 +320,24 @@ impl Topology {
                 bodies: pair.map(|c| colliders[c].body),
                 spans,
                 first_impulse,
-                side: path.iter().map(side_of).collect(),
-                path: paths.len(),
+                path: self.paths.len(),
             });
-            paths.push(path);
+            self.sides.push(path.iter().map(side_of));
+            self.paths.push(&self.blocks, &path);
         }
-        self.paths = paths;
         self.pairs = new;
         self.pair_groups = groups;
         self.pair_of_impulse = pair_of_impulse;
-        self.link_colliders = vec![Vec::new(); self.num_links()];
-        for (c, collider) in colliders.iter().enumerate() {
-            self.link_colliders[collider.link].push(c);
-        }
         self.colliders = colliders;
+        let all = &self.colliders;
+        let of_link = |link| (0..all.len()).filter(move |&c| all[c].link == link);
+        self.link_colliders = (0..self.num_links()).map(of_link).collect();
     }
 
     /// The colliders of a link, as places in [`colliders`](Self::colliders).
     #[inline(always)]
     pub(super) fn colliders_of(&self, link: usize) -> &[usize] {
-        self.link_colliders.get(link).map_or(&[], |colliders| colliders)
+        if self.colliders.is_empty() { &[] } else { &self.link_colliders[link] }
     }
 
     /// Number of impulses that warm-start contacts: one per ground contact candidate, then those of
@@ -353,7 +371,7 @@ impl Topology {
 
     /// The most blocks that any contact acts on.
     pub(super) fn max_path(&self) -> usize {
-        self.paths.iter().map(Vec::len).max().unwrap_or(0)
+        self.paths.longest()
     }
 
     /// Number of joints.
@@ -370,7 +388,20 @@ impl Topology {
     /// [`num_links`](Self::num_links) on those of the pairs.
     #[inline(always)]
     pub(super) fn path(&self, link: usize) -> &[PathPart] {
-        &self.paths[link]
+        self.paths.parts(link)
+    }
+
+    /// Places in a path of the blocks that carry one of its parts.
+    #[inline(always)]
+    pub(super) fn carriers_in_path(&self, part: &PathPart) -> &[usize] {
+        self.paths.carriers_of(part)
+    }
+
+    /// The side of each joint of a pair's path: 1 carries the first link only, -1 the second only,
+    /// 0 both.
+    #[inline(always)]
+    pub(super) fn sides(&self, pair: &PairTopology) -> &[[f64; BLOCK]] {
+        &self.sides[pair.path - self.num_links()]
     }
 
     /// The joints in blocks, each after those that carry it.
@@ -379,10 +410,16 @@ impl Topology {
         &self.blocks.blocks
     }
 
+    /// The joints that carry all of a block, nearest block first.
+    #[inline(always)]
+    pub fn carriers_of(&self, block: &Block) -> &[Carrier] {
+        self.blocks.carriers_of(block)
+    }
+
     /// The blocks of each tree that the base carries, each after those that carry it.
     #[inline(always)]
-    pub(super) fn trees(&self) -> &[Vec<usize>] {
-        &self.blocks.trees
+    pub(super) fn trees(&self) -> impl DoubleEndedIterator<Item = &[usize]> {
+        self.blocks.trees.iter()
     }
 
     /// The place of a link among those of its tree, after the links that carry it; that of the base
@@ -399,7 +436,7 @@ impl Topology {
 
     /// Number of couplings between blocks.
     pub(super) fn num_couplings(&self) -> usize {
-        self.blocks.num_couplings
+        self.blocks.carriers.len()
     }
 
     /// The joints that carry a link, nearest first.

@@ -8,20 +8,21 @@
 
 use super::articulation::JointTopology;
 use super::lanes::Real;
+use super::lists::Lists;
 
 /// Places for joints in a block.
 pub const BLOCK: usize = 3;
 
 /// Joints in a row of one chain, the nearest to the base first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct Block {
     /// The first [`len`](Self::len) are its joints.
     pub joints: [usize; BLOCK],
     /// How many they are.
     pub len: usize,
-    /// The joints that carry all of it, nearest block first.
-    pub carriers: Vec<Carrier>,
-    /// Where its couplings with them start in a factor.
+    /// Number of blocks that carry it.
+    pub num_carriers: usize,
+    /// Where its carriers start among those of all blocks, and its couplings with them in a factor.
     pub first_coupling: usize,
 }
 
@@ -35,11 +36,65 @@ pub struct Carrier {
 }
 
 /// A part of a path.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(super) struct PathPart {
     pub(super) joints: Carrier,
-    /// Where the carriers of its block stand in the path.
-    pub(super) carriers: Vec<usize>,
+    /// Where the places of its carriers start in [`Paths::carriers`].
+    first_carrier: usize,
+    /// Number of its carriers.
+    num_carriers: usize,
+}
+
+/// The ways from links to the base.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Paths {
+    parts: Lists<PathPart>,
+    /// Where the carriers of each part's block stand in its path.
+    carriers: Vec<usize>,
+}
+
+impl Paths {
+    /// Appends the path of joints that each come before those that carry them.
+    pub(super) fn push(&mut self, blocks: &Blocks, joints: &[Carrier]) {
+        let place = |of: &Carrier| joints.iter().position(|part| part.block == of.block);
+        let mut parts = Vec::new();
+        for &part in joints {
+            let first_carrier = self.carriers.len();
+            self.carriers.extend(blocks.carriers_of(&blocks.blocks[part.block]).iter().filter_map(place));
+            parts.push(PathPart { joints: part, first_carrier, num_carriers: self.carriers.len() - first_carrier });
+        }
+        self.parts.push(parts);
+    }
+
+    /// Forgets all paths from number `len` on.
+    pub(super) fn truncate(&mut self, len: usize) {
+        self.parts.truncate(len);
+        self.carriers.truncate(
+            self.parts.iter().flatten().map(|part| part.first_carrier + part.num_carriers).max().unwrap_or(0),
+        );
+    }
+
+    /// Number of paths.
+    pub(super) fn len(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// The parts of a path.
+    #[inline(always)]
+    pub(super) fn parts(&self, path: usize) -> &[PathPart] {
+        &self.parts[path]
+    }
+
+    /// Number of parts of the longest path.
+    pub(super) fn longest(&self) -> usize {
+        self.parts.iter().map(<[PathPart]>::len).max().unwrap_or(0)
+    }
+
+    /// Places in the path of the blocks that carry a part.
+    #[inline(always)]
+    pub(super) fn carriers_of(&self, part: &PathPart) -> &[usize] {
+        &self.carriers[part.first_carrier..][..part.num_carriers]
+    }
 }
 
 /// All blocks of a tree, each after those that carry it.
@@ -48,9 +103,10 @@ pub(super) struct Blocks {
     pub(super) blocks: Vec<Block>,
     /// The block of each joint, and its place there.
     place: Vec<(usize, usize)>,
-    pub(super) num_couplings: usize,
+    /// The joints that carry each block, nearest block first, block by block.
+    pub(super) carriers: Vec<Carrier>,
     /// The blocks of each tree that the base carries, in their order.
-    pub(super) trees: Vec<Vec<usize>>,
+    pub(super) trees: Lists<usize>,
     /// The place of each link among those of its tree, which are counted from 1; that of the base
     /// is 0.
     pub(super) slots: Vec<usize>,
@@ -59,6 +115,7 @@ pub(super) struct Blocks {
 impl Blocks {
     pub(super) fn new(joints: &[JointTopology]) -> Self {
         let mut all = Self { slots: vec![0; joints.len() + 1], ..Self::default() };
+        let mut trees: Vec<Vec<usize>> = Vec::new();
         for (j, joint) in joints.iter().enumerate() {
             let parent = joint.parent.checked_sub(1).map(|parent| all.place[parent]);
             match parent {
@@ -69,53 +126,53 @@ impl Blocks {
                     block.len += 1;
                 }
                 _ => {
-                    let carriers = parent.map_or(Vec::new(), |(block, place)| all.carriers(block, place));
+                    let carriers = parent.map_or(Vec::new(), |(block, place)| all.carriers_from(block, place));
                     all.place.push((all.blocks.len(), 0));
-                    all.num_couplings += carriers.len();
-                    let first_coupling = all.num_couplings - carriers.len();
                     let root = carriers.last().map(|root: &Carrier| root.block);
-                    match all.trees.iter_mut().find(|tree| Some(tree[0]) == root) {
+                    match trees.iter_mut().find(|tree| Some(tree[0]) == root) {
                         Some(tree) => tree.push(all.blocks.len()),
-                        None => all.trees.push(vec![all.blocks.len()]),
+                        None => trees.push(vec![all.blocks.len()]),
                     }
-                    all.blocks.push(Block { joints: [j; BLOCK], len: 1, carriers, first_coupling });
+                    let (num_carriers, first_coupling) = (carriers.len(), all.carriers.len());
+                    all.blocks.push(Block { joints: [j; BLOCK], len: 1, num_carriers, first_coupling });
+                    all.carriers.extend(carriers);
                 }
             }
         }
-        for tree in &all.trees {
+        for tree in &trees {
             let joints = tree.iter().flat_map(|&b| &all.blocks[b].joints[..all.blocks[b].len]);
             for (place, joint) in joints.enumerate() {
                 all.slots[joint + 1] = place + 1;
             }
         }
+        all.trees = trees.into_iter().collect();
         all
     }
 
+    /// The joints that carry all of a block, nearest block first.
+    #[inline(always)]
+    pub(super) fn carriers_of(&self, block: &Block) -> &[Carrier] {
+        &self.carriers[block.first_coupling..][..block.num_carriers]
+    }
+
     /// The joints from one at a place of a block to the base.
-    fn carriers(&self, block: usize, place: usize) -> Vec<Carrier> {
+    fn carriers_from(&self, block: usize, place: usize) -> Vec<Carrier> {
         let own = Carrier { block, count: place + 1 };
-        std::iter::once(own).chain(self.blocks[block].carriers.iter().copied()).collect()
+        std::iter::once(own).chain(self.carriers_of(&self.blocks[block]).iter().copied()).collect()
     }
 
     /// The joints that carry a link, nearest first.
-    pub(super) fn path(&self, link: usize) -> Vec<PathPart> {
-        let joints = link.checked_sub(1).map_or(Vec::new(), |j| self.carriers(self.place[j].0, self.place[j].1));
-        self.with_places(joints)
+    pub(super) fn path(&self, link: usize) -> Vec<Carrier> {
+        link.checked_sub(1).map_or(Vec::new(), |j| self.carriers_from(self.place[j].0, self.place[j].1))
     }
 
     /// The joints that carry one of two links or both, each before those that carry it.
-    pub(super) fn path_of_both(&self, links: [usize; 2]) -> Vec<PathPart> {
-        let mut joints: Vec<Carrier> = links.into_iter().flat_map(|link| self.path(link)).map(|p| p.joints).collect();
+    pub(super) fn path_of_both(&self, links: [usize; 2]) -> Vec<Carrier> {
+        let mut joints: Vec<Carrier> = links.into_iter().flat_map(|link| self.path(link)).collect();
         // the larger count of a block that both paths have
         joints.sort_unstable_by_key(|part| std::cmp::Reverse((part.block, part.count)));
         joints.dedup_by_key(|part| part.block);
-        self.with_places(joints)
-    }
-
-    fn with_places(&self, joints: Vec<Carrier>) -> Vec<PathPart> {
-        let place = |of: &Carrier| joints.iter().position(|part| part.block == of.block);
-        let carriers = |part: &Carrier| self.blocks[part.block].carriers.iter().filter_map(place).collect();
-        joints.iter().map(|part| PathPart { joints: *part, carriers: carriers(part) }).collect()
+        joints
     }
 }
 

@@ -77,7 +77,7 @@ impl<S: Real> Factor<S> {
             // 1-0, 2-0, 2-1
             own.inner[place + t - 1] = links[shape.joints[t] + 1].axis.dot(&force);
         }
-        for (c, carrier) in shape.carriers.iter().enumerate() {
+        for (c, carrier) in topology.carriers_of(shape).iter().enumerate() {
             let joints = &topology.blocks()[carrier.block].joints;
             for t in 0..BLOCK {
                 let x = if t < carrier.count { links[joints[t] + 1].axis.dot(&force) } else { S::zero() };
@@ -98,7 +98,7 @@ impl<S: Real> Factor<S> {
                 own.inner[place + t - 1] = z;
             }
             own.base[place] = [z; 6];
-            for c in 0..shape.carriers.len() {
+            for c in 0..shape.num_carriers {
                 self.couplings[shape.first_coupling + c][place] = [z; BLOCK];
             }
         }
@@ -126,7 +126,7 @@ impl<S: Real> Factor<S> {
             // carriers come before
             let (before, own) = self.blocks.split_at_mut(b);
             let (couplings_before, couplings) = self.couplings.split_at_mut(shape.first_coupling);
-            let couplings = &mut couplings[..shape.carriers.len()];
+            let couplings = &mut couplings[..shape.num_carriers];
             let own = &mut own[0];
             let [d0, d1, d2] = own.diagonal;
             let [m10, m20, m21] = own.inner;
@@ -151,7 +151,7 @@ impl<S: Real> Factor<S> {
                     (c[0][t], c[1][t]) = (l10.neg_mul_add(c1, c0), c1);
                 }
             }
-            for (p, carrier) in shape.carriers.iter().enumerate() {
+            for (p, carrier) in topology.carriers_of(shape).iter().enumerate() {
                 let Some((nearest, further)) = couplings[p..].split_first_mut() else {
                     break;
                 };
@@ -253,7 +253,7 @@ impl<S: Real> Factor<S> {
             let [x0, x1, x2] = joints[b];
             let x1 = l21.neg_mul_add(x2, x1);
             let x0 = l10.neg_mul_add(x1, l20.neg_mul_add(x2, x0));
-            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(&shape.carriers) {
+            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(topology.carriers_of(shape)) {
                 let on = &mut joints[carrier.block];
                 for t in 0..BLOCK {
                     let y = l[2][t].neg_mul_add(x2, on[t]);
@@ -285,7 +285,7 @@ impl<S: Real> Factor<S> {
             let [l10, l20, l21] = own.inner;
             let [x0, x1, x2] = joints[b];
             let mut x = [x0, l10.mul_add(x0, x1), l21.mul_add(x1, l20.mul_add(x0, x2))];
-            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(&shape.carriers) {
+            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(topology.carriers_of(shape)) {
                 let from = &joints[carrier.block];
                 for s in 0..BLOCK {
                     for t in 0..BLOCK {
@@ -332,7 +332,7 @@ impl<S: Real> Factor<S> {
                     x[s] = own.base[s][r].neg_mul_add(base[r], x[s]);
                 }
             }
-            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(&shape.carriers) {
+            for (l, carrier) in self.couplings[shape.first_coupling..].iter().zip(topology.carriers_of(shape)) {
                 let from = &joints[carrier.block];
                 for s in 0..BLOCK {
                     for t in 0..BLOCK {

@@ -65,23 +65,20 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
         }
         let below = half[0].mul_add(up[0].abs(), half[1].mul_add(up[1].abs(), half[2] * up[2].abs()));
         // a coarse test decides for its lane even where a neighbour's lane asks for the finer tests
-        let link_near = (origin_height + dot(&up, &centre) - below).lt(highest);
-        if !S::any(link_near) {
+        let Some(link_near) = S::when((origin_height + dot(&up, &centre) - below).lt(highest)) else {
             continue;
-        }
+        };
         for c in candidates {
             // whichever way its rim points
             let reach = parameters.contact_radius(c) + parameters.contact_rim(c);
             let lowest = origin_height + dot(&up, &parameters.contact_position(c)) - reach;
-            let mut may_touch = S::and(link_near, lowest.lt(highest));
-            if !S::any(may_touch) {
+            let Some(may_touch) = S::when(S::and(link_near, lowest.lt(highest))) else {
                 continue;
-            }
+            };
             let (local, mut gap) = candidate(parameters, c, topology.contacts[c].kind, &up, origin_height);
-            may_touch = S::and(may_touch, gap.lt(highest));
-            if !S::any(may_touch) {
+            let Some(mut may_touch) = S::when(S::and(may_touch, gap.lt(highest))) else {
                 continue;
-            }
+            };
             let (centre, radius) = (add(&at.position, &mul_vec(&at.rotation, &local)), parameters.contact_radius(c));
             let surface;
             let mut axes_here = &frame;
@@ -89,13 +86,13 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
                 let place = world_place(&frame, &state.position, &centre);
                 let bound = terrain.bound(Near::Candidate, place[0], place[1], radius + margin);
                 may_touch = S::and(may_touch, gap.lt(margin + bound - S::splat(plane.offset)));
-                if !S::any(may_touch) {
+                if S::when(may_touch).is_none() {
                     continue;
                 }
                 (gap, surface) = on_terrain(terrain, &frame, &place, radius);
                 // the plane of a steep cell, which goes on beyond it, may be nearer than any ground
                 gap = S::select(may_touch, gap, S::splat(NO_GROUND));
-                if !S::any(gap.lt(margin)) {
+                if S::when(gap.lt(margin)).is_none() {
                     continue;
                 }
                 axes_here = &surface;
@@ -103,9 +100,9 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
             let now = dot(&axes_here[0], &at.velocity.plus(&base).at(&centre));
             let free = dot(&axes_here[0], &at.free_velocity.plus(free_base).at(&centre));
             let near = S::and(may_touch, gap.lt(reach_in_step(solver.ground_reach, now, free, dt).min(margin)));
-            if !S::any(near) {
+            let Some(near) = S::when(near) else {
                 continue;
-            }
+            };
             rows.build_ground(topology, solver, factor, links, axes_here, c, &centre, radius);
             if terrain.is_some() {
                 rows.ground_frames.push(*axes_here);
@@ -113,8 +110,7 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NO_TARGET);
-            let elastic = zero.lt(parameters.restitution());
-            if S::any(elastic) {
+            if let Some(elastic) = S::when(zero.lt(parameters.restitution())) {
                 let (row, further) = rows.next();
                 let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));

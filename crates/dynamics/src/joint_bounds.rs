@@ -33,8 +33,8 @@ pub(super) fn build_joint_bounds<S: Real, B: BodyNumbers<S>>(
         for place in 0..shape.len {
             let (j, row) = (shape.joints[place], &mut block.joints[place]);
             row.near = near_limits(parameters, &settings.solver, dt, state, j, free[b][place]);
-            row.limits = S::any(row.near);
-            row.has_friction = S::any(S::zero().lt(parameters.joint_friction(j)));
+            row.limits = S::when(row.near).is_some();
+            row.has_friction = S::when(S::zero().lt(parameters.joint_friction(j))).is_some();
             block.limits |= row.limits;
             block.active |= row.takes_part();
         }

@@ -204,7 +204,7 @@ pub fn equations_of_motion<S: Real, B: BodyNumbers<S>>(
         inertia: SpatialInertia::new(mass, com, about),
         force: link_force(mass, com, about, &base.velocity, &falling),
     };
-    for tree in topology.trees().iter().rev() {
+    for tree in topology.trees().rev() {
         for &b in tree {
             let block = &topology.blocks()[b];
             for place in 0..block.len {

@@ -21,6 +21,7 @@ mod ground_contacts;
 mod joint_bounds;
 mod kernels;
 mod kinematics;
+mod lists;
 pub mod math;
 mod networks;
 mod parameters;

@@ -10,7 +10,7 @@
 //! no others, and the loads of many registers are under way together. The result of a ray depends
 //! on the ray alone.
 
-use super::lanes::{Kernel, Lanes, Real, WithLanes};
+use super::lanes::{Kernel, Lanes, MOST_LANES, Real, WithLanes};
 use super::math::{Mat3, Vec3};
 use super::terrain::{EDGE, HeightGrid, PAGE, PAGE_POINTS};
 
@@ -33,8 +33,6 @@ const LEVEL: f32 = 1e-9;
 const FAR: f32 = 1e12;
 /// Rays that are under way together. Their queues fit into the first-level cache.
 const CHUNK: usize = 512;
-/// Lanes of a register, at most.
-const MOST_LANES: usize = 16;
 /// Numbers of the lanes of a register.
 const LANE_NUMBERS: [f32; MOST_LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
@@ -283,7 +281,7 @@ impl<'a, S: Real> Source<'a, S> {
             }
             queues.done.push(S::and(is_ray, S::not(is_low)), [ray, self.end]);
             let goes_on = S::and(is_ray, is_low);
-            if S::any(goes_on) {
+            if let Some(goes_on) = S::when(goes_on) {
                 let i = (dx.mul_add(start, self.place[0]) * per_edge).floor();
                 let j = (dy.mul_add(start, self.place[1]) * per_edge).floor();
                 self.step_large(goes_on, [ray, dx, dy, dz, inverse(dx), inverse(dy), start, i, j], queues);
@@ -423,8 +421,7 @@ impl<'a, S: Real> Source<'a, S> {
         let is_before_end = leave.lt(self.end);
         let stops = S::or(meets, S::and(leaves, S::not(is_before_end)));
         queues.done.push(stops, [number, S::select(meets, met, self.end)]);
-        let out = S::and(leaves, is_before_end);
-        if S::any(out) {
+        if let Some(out) = S::when(S::and(leaves, is_before_end)) {
             // behind the last cell of a square lies a square
             let (edge, per_edge) = (S::broadcast(SHARE as f32), S::broadcast(1.0 / SHARE as f32));
             let (small_i, small_j) = ((i * per_edge).floor(), (j * per_edge).floor());

@@ -189,9 +189,10 @@ impl<S: Real> ContactWork<S> {
         // a robot may have no joints, but every row reads the velocity of a block
         let velocities = vec![[z; BLOCK]; blocks.max(1)];
         Self {
-            contacts: Vec::new(),
+            // filled where contacts are first found; the memory of the others stays untouched
+            contacts: Vec::with_capacity(contacts),
             num_contacts: 0,
-            spins: Vec::new(),
+            spins: Vec::with_capacity(topology.num_spins()),
             num_spins: 0,
             bounds: vec![free; blocks],
             stride,
@@ -289,7 +290,7 @@ impl<S: Real> ContactWork<S> {
             let [x, y, z] = frame[d];
             rows.base[d] = [mx, my, mz, x, y, z];
         }
-        let parts = topology.path(pair.path).iter().zip(&pair.side);
+        let parts = topology.path(pair.path).iter().zip(topology.sides(pair));
         for ((part, side), out) in parts.zip(std::iter::once(&mut rows.own).chain(further.iter_mut())) {
             *out = joint_rows(topology, links, part, &rows.base);
             for (row, &side) in out.iter_mut().zip(side) {
@@ -349,7 +350,7 @@ impl<S: Real> ContactWork<S> {
     /// Whether anything is inside another in any lane, or past a limit, and to be pushed out.
     #[inline(always)]
     pub(super) fn pushes(&self) -> bool {
-        S::any(S::zero().lt(self.violation))
+        S::when(S::zero().lt(self.violation)).is_some()
     }
 }
 

@@ -115,10 +115,9 @@ pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
         let [a, b] = group.links;
         let (a, b) = (&collider_boxes[a], &collider_boxes[b]);
         let margin = (a.speed + b.speed).mul_add(dt, S::splat(solver.pair_reach));
-        let links_near = a.distance(b).lt(margin + rounding);
-        if !S::any(links_near) {
+        let Some(links_near) = S::when(a.distance(b).lt(margin + rounding)) else {
             continue;
-        }
+        };
         for link in group.links {
             if !std::mem::replace(&mut collider_boxes[link].placed, true) {
                 for &c in topology.colliders_of(link) {
@@ -129,16 +128,15 @@ pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
         for pair in &topology.pairs[group.pairs.clone()] {
             let [a, b] = pair.colliders;
             let near = S::and(links_near, colliders[a].distance(&colliders[b]).lt(margin + rounding));
-            if !S::any(near) {
+            let Some(near) = S::when(near) else {
                 continue;
-            }
+            };
             let shapes = PairShapes::new(topology, colliders, pair.colliders);
             // at speeds beyond all sense rounding may tell otherwise below: a lane's answer is that
             // of all tests
-            let may_touch = S::and(near, shapes.may_touch(margin + rounding));
-            if !S::any(may_touch) {
+            let Some(may_touch) = S::when(S::and(near, shapes.may_touch(margin + rounding))) else {
                 continue;
-            }
+            };
             let places = shapes.nearest(pair.spans);
             for (i, place) in (pair.first_impulse..).zip(&places[..pair.spans.len()]) {
                 let found = shapes.proximity(place);
@@ -147,9 +145,9 @@ pub(super) fn build_pairs<S: Real, B: BodyNumbers<S>>(
                 let free = sub(&first.free_velocity.at(&found.point), &second.free_velocity.at(&found.point));
                 let (now, free) = (dot(&found.normal, &now), dot(&found.normal, &free));
                 let near = S::and(may_touch, found.gap.lt(reach_in_step(solver.pair_reach, now, free, dt)));
-                if !S::any(near) {
+                let Some(near) = S::when(near) else {
                     continue;
-                }
+                };
                 rows.build_pair(topology, solver, factor, links, pair, i, &frame(&found.normal), &found.point);
                 rows.add(near, separation(found.gap, settings, inverse_dt), S::splat(NO_TARGET), &state.impulse[i]);
             }

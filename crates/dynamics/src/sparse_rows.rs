@@ -371,7 +371,7 @@ fn pass_on<S: Real>(
     further: &mut [JointRows<S>],
 ) {
     let first = topology.blocks()[part.joints.block].first_coupling;
-    for (l, &carrier) in factor.couplings[first..].iter().zip(&part.carriers) {
+    for (l, &carrier) in factor.couplings[first..].iter().zip(topology.carriers_in_path(part)) {
         let on = &mut further[carrier - 1];
         for s in 0..BLOCK {
             for t in 0..BLOCK {

@@ -1,6 +1,6 @@
 //! The height of the ground where it is not a plane.
 
-use super::lanes::Real;
+use super::lanes::{MOST_LANES, Real, Table};
 use super::math::Vec3;
 use super::settings::{HEIGHT_SQUARES, MAX_SLOPE, MIN_DROP};
 
@@ -12,10 +12,9 @@ pub(super) const PAGE: usize = 32;
 pub(super) const EDGE: usize = PAGE + 1;
 /// Points of a page.
 pub(super) const PAGE_POINTS: usize = EDGE * EDGE;
-/// Places that are looked up side by side: the lanes of a pack, and most of what a height scanner
-/// looks at.
-const GROUP: usize = 16;
-/// See [`GROUP`].
+/// Places that are looked up side by side: the lanes of a pack.
+const GROUP: usize = MOST_LANES;
+/// Most places that a height scanner looks up side by side.
 pub const LARGE_GROUP: usize = 64;
 
 /// Heights over a rectangle, on the points of a grid and on two triangles between four of them, cut
@@ -183,6 +182,16 @@ impl HeightGrid {
         (found.height[0], [found.along_x[0], found.along_y[0]].map(|rise| self.slope(rise)))
     }
 
+    /// The slopes of rises from one point to the next.
+    #[inline(always)]
+    fn slopes(&self, rises: &[f32; GROUP]) -> [f32; GROUP] {
+        let mut slopes = [0.0; GROUP];
+        for k in 0..GROUP {
+            slopes[k] = self.slope(rises[k]);
+        }
+        slopes
+    }
+
     /// The slope of a rise from one point to the next.
     #[inline(always)]
     fn slope(&self, rise: f32) -> f32 {
@@ -316,27 +325,37 @@ fn whole(x: f32) -> u32 {
     (x + WHOLE).to_bits() - WHOLE.to_bits()
 }
 
-/// Numbers of a group as lanes.
-#[inline(always)]
-fn lanes<S: Real>(group: &[f32; GROUP]) -> S {
-    let mut lanes = S::zero();
-    for lane in 0..S::LANES {
-        lanes.set_lane_f32(lane, group[lane]);
+/// The ground below places: samples of a grid by x and y.
+struct Below<'a>(&'a HeightGrid);
+
+impl Table<2> for Below<'_> {
+    type Found = Samples<GROUP>;
+
+    #[inline(always)]
+    fn look_up(&self, [x, y]: &[[f32; GROUP]; 2], lanes: usize) -> Self::Found {
+        let mut found = Samples::zeros();
+        self.0.sample_group(x, y, lanes, &mut found);
+        found
     }
-    lanes
+}
+
+/// The highest ground near places: heights that none within a reach exceeds, by x, y and reach.
+struct Bounds<'a>(&'a HeightGrid, Near);
+
+impl Table<3> for Bounds<'_> {
+    type Found = [f32; GROUP];
+
+    #[inline(always)]
+    fn look_up(&self, [x, y, reach]: &[[f32; GROUP]; 3], lanes: usize) -> Self::Found {
+        self.0.bound_group(self.1, x, y, reach, lanes)
+    }
 }
 
 impl<S: Real> Terrain<'_, S> {
     /// Samples below places of the envs.
     #[inline(always)]
     fn sample(&self, x: S, y: S) -> Samples<GROUP> {
-        let (x, y) = (x + self.origin[0], y + self.origin[1]);
-        let (mut places, mut found) = ([[0.0; GROUP]; 2], Samples::zeros());
-        for lane in 0..S::LANES {
-            (places[0][lane], places[1][lane]) = (x.lane_f32(lane), y.lane_f32(lane));
-        }
-        self.grid.sample_group(&places[0], &places[1], S::LANES, &mut found);
-        found
+        S::gather(&Below(self.grid), [x + self.origin[0], y + self.origin[1]])
     }
 
     /// Gap of spheres (points, where the radius is zero) above the ground, m, and the unit normal
@@ -348,41 +367,36 @@ impl<S: Real> Terrain<'_, S> {
     #[inline(always)]
     pub(super) fn gap(&self, place: &Vec3<S>, radius: S) -> (S, Vec3<S>) {
         let found = self.sample(place[0], place[1]);
-        let mut slope = [S::zero(); 2];
-        for lane in 0..S::LANES {
-            slope[0].set_lane_f32(lane, self.grid.slope(found.along_x[lane]));
-            slope[1].set_lane_f32(lane, self.grid.slope(found.along_y[lane]));
-        }
+        let slope = [S::load(&self.grid.slopes(&found.along_x)), S::load(&self.grid.slopes(&found.along_y))];
         let (zero, one) = (S::zero(), S::one());
         let up = one / slope[0].mul_add(slope[0], slope[1].mul_add(slope[1], one)).sqrt();
         let normal = [-(slope[0] * up), -(slope[1] * up), up];
-        let above = place[2] - lanes::<S>(&found.height);
+        let above = place[2] - S::load(&found.height);
         let distance = above * up;
         // where the plane comes nearest, in cells
         let inverse = S::splat(1.0 / f64::from(self.grid.cell));
-        let (u, v) = (lanes::<S>(&found.place[0]), lanes::<S>(&found.place[1]));
+        let (u, v) = (S::load(&found.place[0]), S::load(&found.place[1]));
         let along = distance * inverse;
         let at = [normal[0].neg_mul_add(along, u), normal[1].neg_mul_add(along, v)];
         let within = [at[0].clamp(zero, one), at[1].clamp(zero, one)];
         let off = (within[0] - at[0]).abs().max((within[1] - at[1]).abs());
         let beyond = S::and(zero.lt(off), S::and(zero.lt(distance), zero.lt(radius)));
-        if !S::any(beyond) {
+        let Some(beyond) = S::when(beyond) else {
             return (distance - radius, normal);
-        }
+        };
         let foot = [
             normal[0].neg_mul_add(distance, place[0]),
             normal[1].neg_mul_add(distance, place[1]),
             normal[2].neg_mul_add(distance, place[2]),
         ];
-        let ground = lanes::<S>(&self.sample(foot[0], foot[1]).height);
-        let edge = S::and(beyond, (ground + S::splat(MIN_DROP)).lt(foot[2]));
-        if !S::any(edge) {
+        let ground = S::load(&self.sample(foot[0], foot[1]).height);
+        let Some(edge) = S::when(S::and(beyond, (ground + S::splat(MIN_DROP)).lt(foot[2]))) else {
             return (distance - radius, normal);
-        }
+        };
         // the point of the cell that is nearest to there, on one of its sides
         let first = within[1].lt(within[0]);
-        let (a, b) = (lanes::<S>(&found.near[0]), lanes::<S>(&found.near[1]));
-        let (c, d) = (lanes::<S>(&found.far[0]), lanes::<S>(&found.far[1]));
+        let (a, b) = (S::load(&found.near[0]), S::load(&found.near[1]));
+        let (c, d) = (S::load(&found.far[0]), S::load(&found.far[1]));
         let (along_x, along_y) = (S::select(first, c - a, d - b), S::select(first, d - c, b - a));
         let height = along_x.mul_add(within[0], along_y.mul_add(within[1], a));
         let cell = S::splat(f64::from(self.grid.cell));
@@ -403,18 +417,7 @@ impl<S: Real> Terrain<'_, S> {
     /// No height within `reach` of places of the envs is larger than this, m, lane by lane.
     #[inline(always)]
     pub(super) fn bound(&self, near: Near, x: S, y: S, reach: S) -> S {
-        let (x, y) = (x + self.origin[0], y + self.origin[1]);
-        let mut places = [[0.0; GROUP]; 3];
-        for lane in 0..S::LANES {
-            (places[0][lane], places[1][lane]) = (x.lane_f32(lane), y.lane_f32(lane));
-            places[2][lane] = reach.lane_f32(lane);
-        }
-        let found = self.grid.bound_group(near, &places[0], &places[1], &places[2], S::LANES);
-        let mut bound = S::zero();
-        for lane in 0..S::LANES {
-            bound.set_lane_f32(lane, found[lane]);
-        }
-        bound
+        S::load(&S::gather(&Bounds(self.grid, near), [x + self.origin[0], y + self.origin[1], reach]))
     }
 }
 

@@ -13,6 +13,7 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+mod control;
 mod dispatch;
 pub mod elementary;
 mod native;
@@ -22,6 +23,7 @@ mod token;
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
+pub use control::{MOST_LANES, Rounds, Table};
 pub use dispatch::{Simd, SimdDispatch, SimdError, prefetch};
 #[cfg(target_arch = "aarch64")]
 pub use native::Neon;
@@ -75,8 +77,32 @@ pub trait Real:
     fn lt(self, other: Self) -> Self::Mask;
     /// `yes` where the mask is true, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
-    /// True if any lane of the mask is true.
+    /// True if any lane of the mask is true: what [`when`](Real::when) and [`repeat`](Real::repeat)
+    /// are made of. Kernels call those two.
     fn any(mask: Self::Mask) -> bool;
+    /// The mask, if it is true in any lane. Kernels skip by it what no lane needs, so what is
+    /// skipped must change no lane for which the mask is false.
+    #[inline(always)]
+    fn when(mask: Self::Mask) -> Option<Self::Mask> {
+        if Self::any(mask) { Some(mask) } else { None }
+    }
+    /// Rounds of a loop that each lane leaves by itself, at most `most`: see [`Rounds`]. The first
+    /// round is for all `lanes`, even if there are none.
+    #[inline(always)]
+    fn repeat(most: usize, lanes: Self::Mask) -> Rounds<Self> {
+        Rounds::new(most, lanes)
+    }
+    /// Numbers of a table for each lane, by the lane's own keys. Apart from
+    /// [`gather_pair`](Real::gather_pair), the one place where lanes are looked at one by one.
+    #[inline(always)]
+    fn gather<T: Table<KEYS>, const KEYS: usize>(table: &T, keys: [Self; KEYS]) -> T::Found {
+        const { assert!(Self::LANES <= MOST_LANES) }
+        let mut of_lanes = [[0.0; MOST_LANES]; KEYS];
+        for k in 0..KEYS {
+            keys[k].store(&mut of_lanes[k]);
+        }
+        table.look_up(&of_lanes, Self::LANES)
+    }
     /// Logical or.
     fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Logical and.

@@ -63,16 +63,14 @@ fn solve_bounds<S: Real>(
 pub(super) fn settle_limits<S: Real>(
     topology: &Topology,
     solver: &SolverSettings,
-    mut active: S::Mask,
+    active: S::Mask,
     pushing: bool,
     work: &mut ContactWork<S>,
 ) {
-    for _ in 0..solver.limit_sweeps {
+    let mut sweeps = S::repeat(solver.limit_sweeps, active);
+    while let Some(active) = sweeps.next() {
         let most = sweep_limits(topology, active, pushing, work);
-        active = S::and(active, S::splat(solver.limit_tolerance).lt(most));
-        if !S::any(active) {
-            break;
-        }
+        sweeps.keep(S::splat(solver.limit_tolerance).lt(most));
     }
 }
 

@@ -35,10 +35,11 @@ pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
 ) {
     let solver = &settings.solver;
     warm_start(topology, parameters, work);
-    let mut active = S::zero().lt(S::one());
-    sweep_regularly(topology, parameters, settings, active, work);
-    for round in 0..=solver.max_extra_rounds {
-        if round > 0 {
+    let all = S::zero().lt(S::one());
+    sweep_regularly(topology, parameters, settings, all, work);
+    let mut rounds = S::repeat(1 + solver.max_extra_rounds, all);
+    while let Some(active) = rounds.next() {
+        if rounds.round() > 1 {
             for _ in 0..settings.iterations.min(solver.sweeps_per_round) {
                 sweep_bounds(topology, active, work);
                 sweep_spins(topology, parameters, active, work);
@@ -47,11 +48,9 @@ pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
         }
         // contacts come after dry friction, or feet would creep; limits have the last word
         settle_limits(topology, solver, active, false, work);
-        active = S::and(active, unsettled(topology, solver, work));
-        if !S::any(active) {
-            break;
+        if let Some(active) = rounds.keep(unsettled(topology, solver, work)) {
+            mark_active(active, work);
         }
-        mark_active(active, work);
     }
     if work.pushes() {
         work.moved_base = work.base;
@@ -69,13 +68,13 @@ fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
     all: S::Mask,
     work: &mut ContactWork<S>,
 ) {
-    let mut active = all;
-    for sweep in 1..=settings.iterations {
+    let mut sweeps = S::repeat(settings.iterations, all);
+    while let Some(active) = sweeps.next() {
         // a caller who asks for more sweeps gets all of them: many small changes settle a load that
         // many points share
         let measures = settings.iterations <= SWEEPS
-            && sweep.is_multiple_of(settings.solver.check_interval)
-            && sweep < settings.iterations;
+            && sweeps.round().is_multiple_of(settings.solver.check_interval)
+            && sweeps.round() < settings.iterations;
         if measures {
             // the velocity before, in memory that the moved velocity takes over later
             work.moved_base = work.base;
@@ -85,11 +84,7 @@ fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
         // contacts come last: they hold the normal impulses that bound the turning
         sweep_spins(topology, parameters, active, work);
         sweep_contacts(topology, parameters, active, work);
-        if measures {
-            active = S::and(active, changed(&settings.solver, work));
-            if !S::any(active) {
-                break;
-            }
+        if measures && let Some(active) = sweeps.keep(changed(&settings.solver, work)) {
             mark_active(active, work);
         }
     }
@@ -113,16 +108,16 @@ fn changed<S: Real>(solver: &SolverSettings, work: &ContactWork<S>) -> S::Mask {
 #[inline(always)]
 fn mark_active<S: Real>(active: S::Mask, work: &mut ContactWork<S>) {
     for row in &mut work.contacts[..work.num_contacts] {
-        row.active = S::any(S::and(active, row.near));
+        row.active = S::when(S::and(active, row.near)).is_some();
     }
     for block in &mut work.bounds {
         block.active = false;
         for row in &block.joints {
             if row.limits {
-                block.active |= S::any(S::and(active, row.near));
+                block.active |= S::when(S::and(active, row.near)).is_some();
             }
             if row.has_friction {
-                block.active |= S::any(S::and(active, S::zero().lt(row.max_friction)));
+                block.active |= S::when(S::and(active, S::zero().lt(row.max_friction))).is_some();
             }
         }
     }

@@ -18,14 +18,11 @@ pub(super) fn push<S: Real>(topology: &Topology, solver: &SolverSettings, work: 
     std::mem::swap(&mut work.joints, &mut work.moved_joints);
     // a lane with nothing to push out stays as it is, whatever its neighbours need
     let pushes = S::zero().lt(work.violation);
-    let mut active = pushes;
-    mark_active(active, work);
-    for _ in 0..solver.push_sweeps {
+    mark_active(pushes, work);
+    let mut sweeps = S::repeat(solver.push_sweeps, pushes);
+    while let Some(active) = sweeps.next() {
         let most = push_contacts(topology, active, work).max(sweep_limits(topology, active, true, work));
-        active = S::and(active, S::splat(solver.push_tolerance).lt(most));
-        if !S::any(active) {
-            break;
-        }
+        sweeps.keep(S::splat(solver.push_tolerance).lt(most));
     }
     settle_limits(topology, solver, pushes, true, work);
     std::mem::swap(&mut work.base, &mut work.moved_base);
