@@ -24,7 +24,7 @@ mod threads;
 pub use polypod_dynamics as dynamics;
 pub use polypod_learner as learner;
 
-pub use app::{ForceRows, LinkRows, ParameterRows, Sim, StateRows, dump, snapshot};
+pub use app::{ForceRows, HostPlugin, HostedStep, LinkRows, ParameterRows, Sim, StateRows, dump, snapshot};
 pub use bodies::{geometry_export, morphology, variation};
 pub use config::AVIAN_SUBSTEPS;
 pub use ecs::{batch, blocks, components};

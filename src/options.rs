@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::path::PathBuf;
 
-use bevy_ecs::prelude::Resource;
+use bevy_ecs::prelude::{Resource, World};
 
 use crate::dynamics::lanes::Simd;
 use crate::error::Error;
@@ -56,6 +56,14 @@ impl SimOptions {
             simd: None,
             dump_dir: None,
         }
+    }
+
+    /// The options that an app has as a resource.
+    pub(crate) fn of(world: &World) -> Result<Self, Error> {
+        world.get_resource::<Self>().cloned().ok_or_else(|| {
+            let remedy = "insert it as a resource: app.insert_resource(SimOptions::new(task, num_envs))";
+            Error::argument("SimOptions", "the app has none", remedy)
+        })
     }
 }
 

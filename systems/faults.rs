@@ -4,7 +4,7 @@
 use std::cell::RefCell;
 use std::panic::resume_unwind;
 
-use bevy_ecs::error::{BevyError, ErrorContext};
+use bevy_ecs::error::{BevyError, ErrorContext, FallbackErrorHandler};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::ScheduleLabel;
 use bevy_ecs::system::RegisteredSystemError;
@@ -37,13 +37,20 @@ pub(super) fn none() -> bool {
     FAULT.with_borrow(Option::is_none)
 }
 
-/// Runs a schedule.
+/// Runs a schedule. The world's own handler of errors, which may be a host app's, is back
+/// afterwards.
 ///
 /// # Errors
 /// The first error of its systems. The systems of later sets have not run then.
 pub(crate) fn run(world: &mut World, schedule: impl ScheduleLabel) -> Result<(), Error> {
+    let handler = world.get_resource::<FallbackErrorHandler>().copied();
+    world.insert_resource(FallbackErrorHandler(note));
     FAULT.take();
     world.run_schedule(schedule);
+    match handler {
+        Some(handler) => world.insert_resource(handler),
+        None => drop(world.remove_resource::<FallbackErrorHandler>()),
+    }
     FAULT.take().map_or(Ok(()), Err)
 }
 

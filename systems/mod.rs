@@ -59,7 +59,6 @@ mod view;
 mod views;
 
 use bevy_app::{App, Plugin, plugin_group};
-use bevy_ecs::error::FallbackErrorHandler;
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{LogLevel, ScheduleBuildSettings, ScheduleLabel, SingleThreadedExecutor};
 use bevy_ecs::system::ScheduleSystem;
@@ -74,7 +73,7 @@ pub use command::CommandPlugin;
 pub use commanded::{CommandKind, CommandSpec, CommandTerm, CommandView, CommandedRobot};
 pub use curriculum::place_envs;
 pub use disturb::DisturbPlugin;
-pub(crate) use faults::{outcome, run};
+pub(crate) use faults::{note, outcome, run};
 pub use finite::{FinitePlugin, NonFinite, NonFiniteNumber};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;
@@ -193,7 +192,9 @@ pub struct StateWritten(pub bool);
 
 plugin_group! {
     /// A simulation of many envs. [`Sim::from_app`](crate::Sim::from_app) makes it of an app that
-    /// has these plugins and [`SimOptions`](crate::SimOptions) as a resource.
+    /// has these plugins and [`SimOptions`](crate::SimOptions) as a resource. An app with a runner
+    /// and plugins of its own takes them by
+    /// [`PolypodPlugins::in_schedule`](crate::systems::PolypodPlugins::in_schedule).
     ///
     /// | plugin | what it does |
     /// |---|---|
@@ -290,7 +291,6 @@ impl Plugin for PipelinePlugin {
             .init_resource::<ResetRequest>()
             .init_resource::<StateWritten>()
             .init_resource::<SavedComponents>();
-        app.insert_resource(FallbackErrorHandler(faults::note));
         if !app.world().contains_resource::<Registry>() {
             app.insert_resource(Registry::builtin());
         }

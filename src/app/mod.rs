@@ -3,35 +3,35 @@
 mod changes;
 pub mod dump;
 mod external;
+mod host;
 mod learning;
 mod links;
 mod sim_queries;
 pub mod snapshot;
+mod stepping;
 mod viewing;
 
 use std::path::{Path, PathBuf};
 
 use bevy_app::App;
+use bevy_ecs::error::FallbackErrorHandler;
 use bevy_ecs::prelude::*;
-use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 
 use crate::batch::Batch;
 use crate::blocks::BlockSizes;
-use crate::bounds::MAX_ACTION;
-use crate::components::{Body, Command, CommandNumbers, CurriculumProgress, EnvId, EnvRng, Episode, Morphology};
 use crate::config::{LoadedRobot, LoadedTask, VelocityCommandConfig};
 use crate::dynamics::lanes::Simd;
 use crate::engine::Engines;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::systems::{
-    BrokenStates, CompiledTask, ControlStep, InstructionSet, Loaded, PolypodPlugins, Registry, ResetEnvs, ResetRequest,
-    Setup, Share, outcome, place_envs, randomise_at_startup, run,
-};
+use crate::systems::{BrokenStates, CompiledTask, InstructionSet, Loaded, PolypodPlugins, Registry, Share, note};
 use crate::workers::Workers;
 
+use stepping::{check_actions, set_up, take_step};
+
 pub use changes::{ForceRows, ParameterRows, StateRows};
+pub use host::{HostPlugin, HostedStep};
 pub use links::LinkRows;
 pub use sim_queries::RobotStates;
 
@@ -72,28 +72,25 @@ impl Sim {
     }
 
     /// Makes a simulation of an app that has [`PolypodPlugins`], maybe some of them replaced, and
-    /// [`SimOptions`] as a resource.
+    /// [`SimOptions`] as a resource. The app's world becomes the simulation's; an app that goes on
+    /// by itself takes [`PolypodPlugins::in_schedule`].
     ///
     /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of
-    /// [`ControlStep`] run in each step.
+    /// [`ControlStep`](crate::systems::ControlStep) run in each step.
     ///
     /// # Errors
     /// Any fault of the options, the configs, the URDFs or the plugins.
     pub fn from_app(mut app: App) -> Result<Self, Error> {
-        let Some(options) = app.world().get_resource::<SimOptions>().cloned() else {
-            let remedy = "insert it as a resource: app.insert_resource(SimOptions::new(task, num_envs))";
-            return Err(Error::argument("SimOptions", "the app has none", remedy));
-        };
+        let options = SimOptions::of(app.world())?;
         app.finish();
         app.cleanup();
+        // threads share a simulation, which they cannot do with an app
         let mut world = std::mem::take(app.world_mut());
-        for label in [Setup.intern(), ControlStep.intern(), ResetEnvs.intern()] {
-            initialise(&mut world, label)?;
-        }
-        run(&mut world, Setup)?;
+        world.insert_resource(FallbackErrorHandler(note));
+        set_up(&mut world, options.seed)?;
         let mut sim = Self { world, seed: options.seed, dump_dir: None, lacks_external: false };
+        sim.lacks_external = !sim.task().external_terms().is_empty();
         sim.set_dump_dir(options.dump_dir)?;
-        sim.reset(Some(options.seed), None)?;
         Ok(sim)
     }
 
@@ -112,29 +109,9 @@ impl Sim {
                           Sim::observe_external after each step and reset";
             return Err(Error::argument("observations", problem, remedy));
         }
-        let batch = self.batch();
-        if actions.len() != batch.actions.len() {
-            return Err(Error::argument(
-                "actions",
-                format!("{} numbers for {} envs of {} actions", actions.len(), batch.num_envs, batch.num_actions),
-                "pass one row of actions per env",
-            ));
-        }
-        // all of them at once, then one by one to find the culprit
-        let within = |a: &f32| a.abs() <= MAX_ACTION;
-        let all_within = actions.iter().fold(true, |all, a| all & within(a));
-        if !all_within && let Some(at) = actions.iter().position(|a| !within(a)) {
-            let (env, column) = (at / batch.num_actions, at % batch.num_actions);
-            let joint = self.world.resource::<Morphologies>().1.joints[column];
-            return Err(Error::argument(
-                "actions",
-                format!("the action of env {env} for {joint} is {}", actions[at]),
-                format!("pass finite numbers within {MAX_ACTION}; a policy that gives others has diverged"),
-            ));
-        }
+        check_actions(&self.world, actions)?;
         self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
-        self.world.resource_mut::<ResetRequest>().0 = false;
-        run(&mut self.world, ControlStep)?;
+        take_step(&mut self.world)?;
         self.lacks_external = !self.task().external_terms().is_empty();
         self.dump_broken_states();
         Ok(())
@@ -157,58 +134,10 @@ impl Sim {
     /// # Errors
     /// A mask of the wrong length, or a seed together with a mask.
     pub fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> Result<(), Error> {
-        let num_envs = self.num_envs();
-        if let Some(mask) = mask {
-            if mask.len() != num_envs {
-                let problem = format!("{} entries for {num_envs} envs", mask.len());
-                return Err(Error::argument("mask", problem, "pass one entry per env"));
-            }
-            if seed.is_some() {
-                return Err(Error::argument(
-                    "seed",
-                    "given together with a mask",
-                    "seed all envs at once, or reset some",
-                ));
-            }
-        }
-        if let Some(seed) = seed {
-            self.seed = seed;
-            self.start_anew()?;
-        }
-        for (env, mut episode) in self.world.query::<(&EnvId, &mut Episode)>().iter_mut(&mut self.world) {
-            episode.needs_reset = mask.is_none_or(|mask| mask[env.0 as usize]);
-            episode.fresh = false;
-        }
-        self.world.resource_mut::<ResetRequest>().0 = true;
-        run(&mut self.world, ResetEnvs)?;
+        stepping::reset(&mut self.world, seed, mask)?;
+        self.seed = seed.unwrap_or(self.seed);
         self.lacks_external = !self.task().external_terms().is_empty();
         Ok(())
-    }
-
-    fn start_anew(&mut self) -> Result<(), Error> {
-        let names: Vec<String> = self.morphologies().iter().map(|m| m.name().to_string()).collect();
-        let mut query = self.world.query::<(&EnvId, &Morphology, &mut EnvRng)>();
-        let places: Vec<usize> = self.share().places(self.world.resource::<BlockSizes>()).collect();
-        for (env, tag, mut rng) in query.iter_mut(&mut self.world) {
-            *rng = EnvRng::of_env(self.seed, &names[usize::from(tag.0)], places[env.0 as usize]);
-        }
-        let nominal: Vec<_> = self.world.resource::<Morphologies>().0.iter().map(|m| m.nominal.clone()).collect();
-        for (tag, mut body) in self.world.query::<(&Morphology, &mut Body)>().iter_mut(&mut self.world) {
-            *body.0 = nominal[usize::from(tag.0)].clone();
-        }
-        for mut command in self.world.query::<&mut Command>().iter_mut(&mut self.world) {
-            *command = Command::default();
-        }
-        let mut of_envs = self.world.query::<(&mut CommandNumbers, &mut CurriculumProgress)>();
-        for (mut commands, mut progress) in of_envs.iter_mut(&mut self.world) {
-            commands.clear();
-            *progress = CurriculumProgress::default();
-        }
-        for mut episode in self.world.query::<&mut Episode>().iter_mut(&mut self.world) {
-            *episode = Episode::default();
-        }
-        outcome::<(), ()>(self.world.run_system_cached(randomise_at_startup))?;
-        outcome(self.world.run_system_cached(place_envs))
     }
 
     /// The dense arrays of the last control step.
@@ -347,19 +276,5 @@ impl Sim {
         }
         self.dump_dir = dump_dir;
         Ok(())
-    }
-}
-
-/// Builds a schedule. A contradiction between a user's systems is an error here, not a panic.
-fn initialise(world: &mut World, label: InternedScheduleLabel) -> Result<(), Error> {
-    let failed =
-        |problem: String| Error::argument("plugins", problem, "order the systems of your plugins by sets and .after()");
-    let built = world.try_schedule_scope(label, |world, schedule| {
-        schedule.initialize(world).map_err(|error| error.to_string(schedule.graph(), world))
-    });
-    match built {
-        Ok(Ok(_)) => Ok(()),
-        Ok(Err(problem)) => Err(failed(format!("{label:?}: {problem}"))),
-        Err(_) => Err(failed(format!("there is no schedule {label:?}: PipelinePlugin is missing"))),
     }
 }

@@ -106,7 +106,7 @@ pub enum TerrainCollider {
 /// Adds Avian to an app.
 pub fn add_avian(app: &mut App) {
     app.init_resource::<bevy_ecs::reflect::AppTypeRegistry>();
-    app.insert_resource(Time::<()>::default());
+    app.init_resource::<Time>();
     app.add_plugins(PhysicsPlugins::new(UpdateWorld).with_collision_hooks::<SameEnv>().build());
 }
 
@@ -280,8 +280,11 @@ pub(crate) fn step_world(world: &mut World, seconds: f64) {
     let Ok(step) = Duration::try_from_secs_f64(seconds) else {
         return;
     };
+    // Avian reads the step off the clock, which may be a host app's
+    let clock = *world.resource::<Time>();
     world.resource_mut::<Time>().advance_by(step);
     world.run_schedule(UpdateWorld);
+    world.insert_resource(clock);
 }
 
 /// An obstacle whose top is below the ground by no more than this is level with it, m.

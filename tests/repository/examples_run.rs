@@ -47,3 +47,14 @@ fn headless_app_prints_what_the_policy_observes_of_its_component() {
         assert!(kelvin > 0.0 && kelvin < 50.0, "{line}");
     }
 }
+
+#[test]
+fn hosted_ends_by_the_clock_of_its_app() {
+    let text = String::from_utf8(run("hosted").stdout).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines.len(), 4, "{text}");
+    for line in lines {
+        let height: f32 = line.trim_end_matches(" m high").rsplit(' ').next().unwrap().parse().unwrap();
+        assert!(height > 0.2 && height < 0.7, "{line}");
+    }
+}

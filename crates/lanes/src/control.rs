@@ -2,8 +2,8 @@
 //!
 //! A kernel is straight-line code but for three operations of [`Real`]: [`when`](Real::when) skips
 //! what no lane needs, [`repeat`](Real::repeat) ends a loop when every lane has left it, and
-//! [`gather`](Real::gather) reads a table at a place of each lane's own. With one lane they are an
-//! `if`, a `while` and a load, so that a thread of a device takes the same steps as a lane.
+//! [`gather`](Real::gather) reads a table at the place that each lane names. With one lane they are
+//! an `if`, a `while` and a load, so that a thread of a device takes the same steps as a lane.
 //!
 //! They return values where a functional language would take a function: a closure cannot be
 //! `#[inline(always)]`, and one that is not inlined is compiled without the instruction set.
@@ -13,9 +13,9 @@ use super::Real;
 /// Most lanes that a lane type has.
 pub const MOST_LANES: usize = 16;
 
-/// A table in which each lane looks up numbers by `KEYS` numbers of its own.
+/// A table in which each lane looks up numbers by `KEYS` keys.
 pub trait Table<const KEYS: usize> {
-    /// What is found, an array of [`MOST_LANES`] for each number.
+    /// Numbers that are found, an array of [`MOST_LANES`] for each.
     type Found;
 
     /// Looks up the first `lanes` keys; must be `#[inline(always)]`.
