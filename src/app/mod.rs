@@ -98,9 +98,9 @@ impl Sim {
     /// columns of [`slots`](Self::slots). An action for a joint that a robot lacks does nothing.
     ///
     /// # Errors
-    /// The wrong number of actions, or one that is not finite or beyond [`MAX_ACTION`]; the
-    /// simulation is then as it was. Or a system failed: the sets of the pipeline after it have not
-    /// run then.
+    /// The wrong number of actions, or one that is not finite or beyond
+    /// [`MAX_ACTION`](crate::bounds::MAX_ACTION); the simulation is then as it was. Or a system
+    /// failed: the sets of the pipeline after it have not run then.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
         if self.lacks_external {
             let terms = self.task().external_terms().join(", ");
