@@ -210,7 +210,7 @@ def robot_result(
     def time_average(key: str) -> float:
         return float(np.mean(sums[key] / steps))
 
-    success = _success(sums)
+    success = succeeds(sums)
     carried = weight * float(sums["speed"].sum() * step_dt)
     return RobotResult(
         episodes=steps.size,
@@ -238,7 +238,8 @@ def _per_contact(sums: Mapping[str, Array], key: str, here: Any = ...) -> float:
     return float(sums[key][here].sum()) / contact if contact > 0.0 else math.nan
 
 
-def _success(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
+def succeeds(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
+    """Which episodes succeed, see `FOLLOWS`: of the sums `fell`, `xy`, `still_xy` and `steps`."""
     share, slack = FOLLOWS
     allowed = np.maximum(share * sums["still_xy"], slack * sums["steps"])
     success: npt.NDArray[np.bool_] = (sums["fell"] == 0) & (sums["xy"] <= allowed)
