@@ -318,7 +318,7 @@ impl<'a, S: Real> Source<'a, S> {
     #[inline(always)]
     fn go_on(&self, queues: &mut Queues, least: usize) {
         let lanes = S::load(&LANE_NUMBERS);
-        // of `len` rays, those that take the step now
+        // the number of those of `len` rays that take the step now
         let whole = |len: usize| if least == 1 { len } else { len - len % S::LANES };
         while queues.large.len.max(queues.small.len).max(queues.cells.len) >= least {
             // rays that wait on are written to places that were read before

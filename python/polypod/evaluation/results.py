@@ -239,7 +239,7 @@ def _per_contact(sums: Mapping[str, Array], key: str, here: Any = ...) -> float:
 
 
 def succeeds(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
-    """Which episodes succeed, see `FOLLOWS`: of the sums `fell`, `xy`, `still_xy` and `steps`."""
+    """Tells which episodes succeed, see `FOLLOWS`, by the sums fell, xy, still_xy and steps."""
     share, slack = FOLLOWS
     allowed = np.maximum(share * sums["still_xy"], slack * sums["steps"])
     success: npt.NDArray[np.bool_] = (sums["fell"] == 0) & (sums["xy"] <= allowed)

@@ -350,7 +350,7 @@ class Record:
         return steps
 
     def sums(self, envs: slice = slice(None)) -> dict[str, Array]:
-        """Sums over each env's episode, by the names of `measures.of_step`: what success is judged by."""
+        """Sums over each env's episode by which success is judged, named as in `of_step`."""
         xy, _, still_xy, _ = self._errors[:, envs].sum(axis=0).T
         return {"steps": self.steps[envs], "fell": self.fell[envs].astype(np.float64), "xy": xy, "still_xy": still_xy}
 

@@ -145,10 +145,14 @@ class Reporter:
             cells = (_mean([result.success(kind, level) for result in results], ".0%") for kind in (*kinds, None))
             table.add_row(str(level), *cells)
         table.print(self.console)
-        self.message("by type of tile, mean over the robots; stumbles: share of the contacts in which a foot meets a wall")
+        self.message(
+            "by type of tile, mean over the robots; stumbles: share of the contacts in which a foot meets a wall"
+        )
         table = Rows("type", *_OF_TILES)
         for kind in kinds:
-            cells = (_mean([result.on_tiles(key, kind) for result in results], form) for key, form in _OF_TILES.values())
+            cells = (
+                _mean([result.on_tiles(key, kind) for result in results], form) for key, form in _OF_TILES.values()
+            )
             table.add_row(kind, *cells)
         table.print(self.console)
 

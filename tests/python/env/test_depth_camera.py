@@ -251,7 +251,7 @@ def test_a_held_image_is_the_one_of_its_frame(tmp_path):
         return image
 
     for step in range(40):
-        _, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+        env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
         image = seen()
         if last is not None:
             held += int((image == last).all(axis=1).sum())

@@ -86,7 +86,7 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
 
 @pytest.mark.parametrize("folder", sorted((ROOT / "lab" / "recipes").iterdir()), ids=lambda folder: folder.name)
 def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
-    """Stages name train configs and tasks that load, robots of the library, and stages before them."""
+    """Stages name configs and tasks that load, robots of the library, and stages before them."""
     plan = recipe.read(folder)
     monkeypatch.setenv("POLYPOD_PATH", str(folder))
     library = {entry["name"] for entry in _core.robots()}
