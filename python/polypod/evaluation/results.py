@@ -180,7 +180,8 @@ def _robot_from(content: Mapping[str, Any]) -> RobotResult:
 
 
 def _tile_from(content: Mapping[str, Any]) -> TileResult:
-    return TileResult(**{key: math.nan if value is None else value for key, value in content.items()})
+    figures: dict[str, Any] = {key: math.nan if value is None else value for key, value in content.items()}
+    return TileResult(**figures)
 
 
 def finite(content: Any) -> Any:
