@@ -10,7 +10,7 @@
 //! no others, and the loads of many registers are under way together. Rays that fill no register
 //! wait for those of the next chunk. The result of a ray depends on the ray alone.
 
-use std::cell::RefCell;
+use std::cell::Cell;
 
 use super::lanes::{Kernel, Lanes, Real, WithLanes};
 use super::math::{Mat3, Vec3};
@@ -134,28 +134,29 @@ impl<S: Real> Kernel<S> for Rays<'_> {
     fn run(self) {
         let Self { grid, bounds, position, rotation, directions: [x, y, z], end, reach, distances } = self;
         let source = Source::<S>::new(grid, bounds, position, end, reach);
-        QUEUES.with_borrow_mut(|queues| {
-            let count = distances.len();
-            let mut first = 0;
-            while first < count {
-                let last = count.min(first + CHUNK);
-                source.begin(rotation, first, [&x[first..last], &y[first..last], &z[first..last]], queues);
-                // the last rays wait for no others
-                source.go_on(queues, if last < count { S::LANES } else { 1 });
-                let [rays, met] = &queues.done.numbers;
-                for (ray, met) in rays.iter().zip(met).take(queues.done.len) {
-                    distances[*ray as usize] = *met;
-                }
-                queues.done.len = 0;
-                first = last;
+        // no closure: it would not be compiled for the instruction set
+        let mut queues = QUEUES.take().unwrap_or_else(|| Box::new(Queues::new()));
+        let count = distances.len();
+        let mut first = 0;
+        while first < count {
+            let last = count.min(first + CHUNK);
+            source.begin(rotation, first, [&x[first..last], &y[first..last], &z[first..last]], &mut queues);
+            // the last rays wait for no others
+            source.go_on(&mut queues, if last < count { S::LANES } else { 1 });
+            let [rays, met] = &queues.done.numbers;
+            for (ray, met) in rays.iter().zip(met).take(queues.done.len) {
+                distances[*ray as usize] = *met;
             }
-        });
+            queues.done.len = 0;
+            first = last;
+        }
+        QUEUES.set(Some(queues));
     }
 }
 
 thread_local! {
     /// The queues of a thread: empty between two images.
-    static QUEUES: RefCell<Box<Queues>> = RefCell::new(Box::new(Queues::new()));
+    static QUEUES: Cell<Option<Box<Queues>>> = const { Cell::new(None) };
 }
 
 /// Rays that wait for the same step, and `N` numbers of each.
@@ -185,6 +186,9 @@ impl<const N: usize> Queue<N> {
     /// Lets the rays of a mask wait.
     #[inline(always)]
     fn push<S: Real>(&mut self, mask: S::Mask, numbers: [S; N]) {
+        if !S::any(mask) {
+            return;
+        }
         let len = self.len;
         assert!(len <= MOST_RAYS, "a queue has room for all rays that are under way");
         let mut k = 0;
