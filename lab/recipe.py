@@ -91,7 +91,7 @@ def read(folder: Path) -> Recipe:
     return Recipe(folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies)
 
 
-def command(recipe: Recipe, stage: Stage, out: Path) -> list[str]:
+def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> list[str]:
     """The command line of a stage's training."""
     config = recipe.folder / stage.config
     made = {other.name for other in recipe.stages}
@@ -106,6 +106,8 @@ def command(recipe: Recipe, stage: Stage, out: Path) -> list[str]:
     words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
     words += ["--robots", ",".join(recipe.robots(stage.robots, out)), "--seed", str(stage.seed), "--logger", "none"]
     words += ["--log-dir", str(out / "runs" / stage.name)]
+    if threads is not None:
+        words += ["--threads", str(threads)]
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
     if stage.init is not None:
@@ -136,7 +138,7 @@ def draw(recipe: Recipe, out: Path) -> None:
             subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 
 
-def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None) -> str:
+def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, threads: int | None) -> str:
     """Trains a stage, until `ends_at` at most (`time.monotonic`); returns a line about it."""
     if (out / stage.name / "model.pt").is_file():
         return f"{stage.name}: is there"
@@ -145,7 +147,7 @@ def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None) -> str
         return f"{stage.name}: no time left"
     with (out / f"{stage.name}.log").open("w") as log:
         run = subprocess.Popen(
-            command(recipe, stage, out), stdout=log, stderr=subprocess.STDOUT, env=environment(recipe, out)
+            command(recipe, stage, out, threads), stdout=log, stderr=subprocess.STDOUT, env=environment(recipe, out)
         )
         try:
             code = run.wait(None if ends_at is None else max(ends_at - time.monotonic(), 0.0))
@@ -174,6 +176,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--stages", help="names, with commas between; all by default")
     parser.add_argument("--together", type=int, default=1, help="trainings at a time")
+    parser.add_argument("--threads", type=int, help="threads of each training; all cores by default")
     parser.add_argument("--seconds", type=float, help="after which trainings end, with a checkpoint")
     arguments = parser.parse_args()
     began = time.monotonic()
@@ -186,7 +189,7 @@ def main() -> None:
     draw(recipe, out)
     ends_at = None if arguments.seconds is None else began + arguments.seconds
     with ThreadPoolExecutor(arguments.together) as pool:
-        for line in pool.map(lambda name: train(recipe, known[name], out, ends_at), names):
+        for line in pool.map(lambda name: train(recipe, known[name], out, ends_at, arguments.threads), names):
             print(line, flush=True)
 
 

@@ -52,7 +52,8 @@ pub(super) fn observe(
                 continue;
             }
             let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
-            let observation = Observation { task: &task, views, row: i, episode, rng, out: out.row(i) };
+            let row = out.row(i);
+            let observation = Observation { task: &task, views, row: i, episode, rng, out: row, has_last: true };
             workers.dispatch().vectorize(observation);
         }
     });
@@ -86,7 +87,8 @@ pub(super) fn observe_final(
                     out.row(i).copy_from_slice(before.row(i));
                 }
                 let (views, episode, rng) = (&views, &episodes[i], &mut rngs[i]);
-                let observation = Observation { task: &task, views, row: i, episode, rng, out: out.row(i) };
+                let row = out.row(i);
+                let observation = Observation { task: &task, views, row: i, episode, rng, out: row, has_last: false };
                 workers.dispatch().vectorize(observation);
             }
         }
@@ -103,6 +105,8 @@ struct Observation<'a> {
     episode: &'a Episode,
     rng: &'a mut EnvRng,
     out: &'a mut [f32],
+    /// Whether `out` holds the observation of the control step before.
+    has_last: bool,
 }
 
 impl Kernel<f32> for Observation<'_> {
@@ -118,9 +122,12 @@ impl Kernel<f32> for Observation<'_> {
         let mut rest = self.out;
         for term in &self.task.observations {
             let (mine, more) = rest.split_at_mut(term.size);
-            if term.spec.kind == TermKind::Image && view.image.is_empty() {
+            let is_image = term.spec.kind == TermKind::Image;
+            if is_image && view.image.is_empty() {
                 // no noise where there is no camera
                 mine.fill(0.0);
+            } else if is_image && self.has_last && !view.is_new_image && term.is_plain() {
+                // a held image stands there already
             } else if let Some(write) = &term.write {
                 let (robot, columns) = (view.morphology, self.task.num_joints);
                 term.observe(mine, self.episode.fresh, (robot, columns), self.rng, |newest| write(&view, newest));
@@ -254,6 +261,11 @@ impl ObservationTerm {
         if is_new {
             older.chunks_exact_mut(size).for_each(|numbers| numbers.copy_from_slice(newest));
         }
+    }
+
+    /// Whether equal numbers are observed equally: without noise and history.
+    fn is_plain(&self) -> bool {
+        self.noise == 0.0 && self.error == 0.0 && self.history == 1
     }
 
     /// Adds errors and noise to what was written, limits and scales it.
@@ -429,11 +441,13 @@ const MORPHOLOGY_BLOCKS: [Block; 7] = [
 /// armature * 10, and the torque of one unit of action / weight / leg length, 0 without gravity;
 /// the default joint positions in canonical order, rad; the spawn height, m.
 ///
-/// Randomised bodies describe themselves as they are.
+/// Randomised bodies describe themselves as they are. Bodies that are no quadrupeds have zeros.
 fn morphology(_: &NoParams, r: &RobotView, out: &mut [f32]) {
     let (body, model, stance) = (r.body, r.morphology, r.stance);
-    // a task with this term has no other robots
-    let joints = model.quadruped.unwrap_or_default();
+    let Some(joints) = model.quadruped else {
+        out.fill(0.0);
+        return;
+    };
     let length = |v: &[f32; 3]| v[0].mul_add(v[0], v[1].mul_add(v[1], v[2] * v[2])).sqrt();
     let joint = |role: usize, leg: usize| joints[role][leg];
     let mean = |f: &dyn Fn(usize) -> f32| (f(0) + f(1) + f(2) + f(3)) * 0.25;

@@ -40,6 +40,8 @@ pub struct RobotView<'a> {
     /// Distances of the pixels of its depth camera, rows from top to bottom, m; empty where it has
     /// none.
     pub image: &'a [f32],
+    /// Whether the image is another than in the control step before.
+    pub is_new_image: bool,
     /// Descriptions of its joints, see [`JointDescriptors`](crate::components::JointDescriptors);
     /// empty where the task does not observe them.
     pub joint_descriptors: &'a [f32],

@@ -130,6 +130,7 @@ impl<'a> Views<'a> {
             feet: &self.feet[row],
             height_scan: self.scans.get(row).map_or(&[], |scan| &scan.hits),
             image: self.images.get(row).map_or(&[], |camera| &camera.depth),
+            is_new_image: self.images.get(row).is_some_and(|camera| camera.is_new),
             joint_descriptors: self.descriptors.get(row).map_or(&[], |of| &of.numbers),
             body: &self.bodies[row].0,
             stance: &self.stances[row],

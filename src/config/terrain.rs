@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::quantities::{Difficulty, Length, Proportion, Spacing, SteepSlope};
+use super::quantities::{BodyFactor, Difficulty, Length, Proportion, Spacing, SteepSlope};
 use super::tiles::SubTerrainShape;
 use super::values;
 
@@ -54,6 +54,13 @@ pub struct TerrainConfig {
         skip_serializing_if = "is_reference_leg_length"
     )]
     pub reference_leg_length: f64,
+    /// Largest factor of the tiles of a robot with long legs; for `scale_by`. Default: none.
+    #[serde(
+        default,
+        deserialize_with = "values::optional_of::<BodyFactor, _, _>",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub max_scale: Option<f64>,
     /// Difficulty of the first and beyond the last row. Default: 0 to 1.
     #[serde(default = "difficulty_range", deserialize_with = "values::range_of::<Difficulty, _, _>")]
     pub difficulty_range: [f64; 2],

@@ -616,6 +616,9 @@ pub struct RayCasterCamera {
     /// the frame that is shown.
     #[serde(skip)]
     pub depth: Box<[f32]>,
+    /// Whether the distances are others than in the control step before.
+    #[serde(skip)]
+    pub is_new: bool,
     /// The frame that is observed.
     pub shown: Option<CameraFrame>,
     /// Frames of the last control steps, the oldest first, that are not shown yet; empty for steps

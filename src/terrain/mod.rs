@@ -50,7 +50,8 @@ impl TerrainLayout {
     pub fn for_robots(config: &TerrainConfig, legs: &[f64]) -> Self {
         let last = config.num_rows.saturating_sub(1);
         let legs = if config.scale_by.is_some() { legs } else { &[] };
-        let steps = |leg: &f64| (leg / config.reference_leg_length / SCALE_STEP).round().max(1.0) as u32;
+        let most = config.max_scale.unwrap_or(f64::INFINITY);
+        let steps = |leg: &f64| ((leg / config.reference_leg_length).min(most) / SCALE_STEP).round().max(1.0) as u32;
         let mut distinct: Vec<u32> = legs.iter().map(steps).collect();
         distinct.sort_unstable();
         distinct.dedup();

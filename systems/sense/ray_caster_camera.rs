@@ -38,6 +38,7 @@ impl Sensor for RayCasterCamera {
     fn new(settings: &CameraSettings, _: &MorphologyModel) -> Self {
         Self {
             depth: vec![0.0; settings.num_pixels()].into(),
+            is_new: true,
             shown: None,
             late: Vec::new(),
             wait: 0,
@@ -49,6 +50,7 @@ impl Sensor for RayCasterCamera {
 
     #[inline(always)]
     fn measure(&mut self, settings: &CameraSettings, robot: &SensedRobot) {
+        self.is_new = false;
         let is_due = self.wait <= 1;
         self.wait = if is_due { settings.period } else { self.wait - 1 };
         let is_kept = !(is_due && settings.drop > 0.0 && self.rng.unit() < settings.drop);
@@ -76,6 +78,7 @@ impl Sensor for RayCasterCamera {
     #[inline(always)]
     fn renew(&mut self, settings: &CameraSettings, robot: &SensedRobot) {
         self.depth = vec![0.0; settings.num_pixels()].into();
+        self.is_new = true;
         if let Some(frame) = self.shown.take() {
             self.show(frame, settings, robot);
         }
@@ -98,6 +101,7 @@ impl RayCasterCamera {
     #[inline(always)]
     fn show(&mut self, frame: CameraFrame, settings: &CameraSettings, robot: &SensedRobot) {
         settings.render(&frame, robot, &mut self.depth);
+        self.is_new = true;
         self.shown = Some(frame);
     }
 }

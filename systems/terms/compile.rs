@@ -19,8 +19,8 @@ use crate::bounds::MAX_BUCKETS;
 use crate::config::quantities::{FrictionCoefficient, FrictionLength, SpeedLimit};
 use crate::config::values;
 use crate::config::{
-    ConfigError, ConfigErrorKind, EventMode, ExternalConfig, ExternalKind, TaskConfig, VelocityCommandConfig,
-    did_you_mean, parse_params,
+    ConfigError, ConfigErrorKind, EventMode, ExternalConfig, ExternalKind, POLICY_GROUP, TaskConfig,
+    VelocityCommandConfig, did_you_mean, parse_params,
 };
 use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
@@ -274,7 +274,8 @@ impl CompiledTask {
                     let remedy = "register it with another size, kind or blocks";
                     ConfigError::invalid(file, element.as_str(), problem, remedy)
                 })?;
-                let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none());
+                // in other groups a teacher of quadrupeds reads it, and other robots have zeros
+                let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none() && group == POLICY_GROUP);
                 if let Some(other) = other.filter(|_| spec.is_of_quadrupeds()) {
                     let problem = format!(
                         "the term `{}` describes quadrupeds of twelve joints; {} is none",

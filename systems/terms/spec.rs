@@ -36,7 +36,8 @@ pub enum TermKind {
     PerFoot,
     /// A number of each ray of the height scanner: its rows change sides.
     Scan,
-    /// A number of each pixel of the depth camera: the columns of the image change sides.
+    /// A number of each pixel of the depth camera, which changes with its image alone: the columns
+    /// of the image change sides.
     Image,
     /// Description of the robot's body, in blocks ([`TermSpec::blocks`]): numbers of joints change
     /// like those of `PerJoint`.

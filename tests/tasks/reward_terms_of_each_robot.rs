@@ -195,6 +195,7 @@ fn terms_are_worth_what_was_worked_out_by_hand() {
                 feet: &h.feet,
                 height_scan: &[],
                 image: &[],
+                is_new_image: false,
                 joint_descriptors: &[],
                 body: &model.nominal,
                 stance: &model.stance,

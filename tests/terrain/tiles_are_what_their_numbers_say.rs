@@ -621,6 +621,15 @@ fn tiles_may_be_scaled_by_the_leg_length() {
             |mesh: &polypod::terrain::Mesh| mesh.vertices.iter().map(|v| v[2]).fold(0.0f32, |m, z| m.max(z.abs()));
         assert!((heights(half) - 0.5 * heights(whole)).abs() < 1e-6, "{} {}", heights(half), heights(whole));
     }
+    // robots with long legs may keep the numbers of the config
+    let limited = config(&[
+        "scene.terrain.scale_by=leg_length",
+        "scene.terrain.reference_leg_length=0.4",
+        "scene.terrain.max_scale=0.8",
+    ]);
+    let layout = TerrainLayout::for_robots(&limited, &[0.9, 0.2, 0.36]);
+    assert_eq!(layout.scale_of_robot, [1, 0, 1]);
+    assert!(layout.scales.iter().zip([0.5, 0.8]).all(|(a, b)| (a - b).abs() < 1e-9), "{:?}", layout.scales);
     // without robots or without the key all columns are shared
     assert_eq!(TerrainLayout::new(&scaled).num_cols, 2);
     assert_eq!(TerrainLayout::for_robots(&config(&[]), &[0.2, 0.4]).num_cols, 2);

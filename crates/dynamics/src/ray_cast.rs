@@ -7,8 +7,10 @@
 //!
 //! Rays that wait for the same step stand side by side in a [`Queue`], and a step takes a full
 //! register of them. A step moves each ray to the queue of its next one. Lanes therefore wait for
-//! no others, and the loads of many registers are under way together. The result of a ray depends
-//! on the ray alone.
+//! no others, and the loads of many registers are under way together. Rays that fill no register
+//! wait for those of the next chunk. The result of a ray depends on the ray alone.
+
+use std::cell::Cell;
 
 use super::lanes::{Kernel, Lanes, MOST_LANES, Real, WithLanes};
 use super::math::{Mat3, Vec3};
@@ -31,8 +33,11 @@ const CLEAR: f32 = 1e-4;
 const LEVEL: f32 = 1e-9;
 /// Inverse of a direction without a component along an axis: it crosses nothing.
 const FAR: f32 = 1e12;
-/// Rays that are under way together. Their queues fit into the first-level cache.
+/// Rays that start together. Their queues fit into the first-level cache.
 const CHUNK: usize = 512;
+/// Rays that are under way together, at most: a chunk, and in each queue less than a register of
+/// the chunk before.
+const MOST_RAYS: usize = CHUNK + 3 * MOST_LANES;
 /// Numbers of the lanes of a register.
 const LANE_NUMBERS: [f32; MOST_LANES] =
     [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];
@@ -127,39 +132,47 @@ impl<S: Real> Kernel<S> for Rays<'_> {
     fn run(self) {
         let Self { grid, bounds, position, rotation, directions: [x, y, z], end, reach, distances } = self;
         let source = Source::<S>::new(grid, bounds, position, end, reach);
-        let mut queues = Queues::new();
+        // no closure: it would not be compiled for the instruction set
+        let mut queues = QUEUES.take().unwrap_or_else(|| Box::new(Queues::new()));
         let count = distances.len();
         let mut first = 0;
         while first < count {
             let last = count.min(first + CHUNK);
-            source.begin(rotation, [&x[first..last], &y[first..last], &z[first..last]], &mut queues);
-            source.finish(&mut queues);
+            source.begin(rotation, first, [&x[first..last], &y[first..last], &z[first..last]], &mut queues);
+            // the last rays wait for no others
+            source.go_on(&mut queues, if last < count { S::LANES } else { 1 });
             let [rays, met] = &queues.done.numbers;
             for (ray, met) in rays.iter().zip(met).take(queues.done.len) {
-                distances[first + *ray as usize] = *met;
+                distances[*ray as usize] = *met;
             }
             queues.done.len = 0;
             first = last;
         }
+        QUEUES.set(Some(queues));
     }
+}
+
+thread_local! {
+    /// The queues of a thread: empty between two images.
+    static QUEUES: Cell<Option<Box<Queues>>> = const { Cell::new(None) };
 }
 
 /// Rays that wait for the same step, and `N` numbers of each.
 struct Queue<const N: usize> {
     len: usize,
-    numbers: [[f32; CHUNK + MOST_LANES]; N],
+    numbers: [[f32; MOST_RAYS + MOST_LANES]; N],
 }
 
 impl<const N: usize> Queue<N> {
     #[inline(always)]
     fn new() -> Self {
-        Self { len: 0, numbers: [[0.0; CHUNK + MOST_LANES]; N] }
+        Self { len: 0, numbers: [[0.0; MOST_RAYS + MOST_LANES]; N] }
     }
 
     /// The numbers of the rays from a place on.
     #[inline(always)]
     fn load<S: Real>(&self, at: usize) -> [S; N] {
-        assert!(at < CHUNK, "no ray is that far behind");
+        assert!(at < MOST_RAYS, "no ray is that far behind");
         let (mut out, mut k) = ([S::zero(); N], 0);
         while k < N {
             out[k] = S::load(&self.numbers[k][at..]);
@@ -171,14 +184,27 @@ impl<const N: usize> Queue<N> {
     /// Lets the rays of a mask wait.
     #[inline(always)]
     fn push<S: Real>(&mut self, mask: S::Mask, numbers: [S; N]) {
+        if !S::any(mask) {
+            return;
+        }
         let len = self.len;
-        assert!(len <= CHUNK, "a queue has room for all rays of a chunk");
+        assert!(len <= MOST_RAYS, "a queue has room for all rays that are under way");
         let mut k = 0;
         while k < N {
             numbers[k].store_some(mask, &mut self.numbers[k][len..]);
             k += 1;
         }
         self.len = len + S::count(mask);
+    }
+
+    /// Lets rays wait on that filled no register: those from a place to another, less than a
+    /// register.
+    #[inline(always)]
+    fn wait_on<S: Real>(&mut self, from: usize, to: usize) {
+        if from < to {
+            let rest = self.load::<S>(from);
+            self.push(S::load(&LANE_NUMBERS).lt(S::broadcast((to - from) as f32)), rest);
+        }
     }
 }
 
@@ -261,7 +287,7 @@ impl<'a, S: Real> Source<'a, S> {
 
     /// Starts the rays of a chunk.
     #[inline(always)]
-    fn begin(&self, r: &Mat3<f32>, [x, y, z]: [&[f32]; 3], queues: &mut Queues) {
+    fn begin(&self, r: &Mat3<f32>, first: usize, [x, y, z]: [&[f32]; 3], queues: &mut Queues) {
         let (lanes, zero, one) = (S::load(&LANE_NUMBERS), S::zero(), S::one());
         let per_edge = S::broadcast(1.0 / EDGES[LARGE] as f32);
         let mut k = 0;
@@ -271,7 +297,7 @@ impl<'a, S: Real> Source<'a, S> {
             let dx = self.per_metre * turn(&r[0], &local);
             let dy = self.per_metre * turn(&r[1], &local);
             let dz = turn(&r[2], &local);
-            let ray = S::broadcast(k as f32) + lanes;
+            let ray = S::broadcast((first + k) as f32) + lanes;
             let (mut start, mut is_low) = (zero, zero.lt(self.end));
             if self.above > 0.0 {
                 // above all ground in reach there is nothing to meet
@@ -290,35 +316,40 @@ impl<'a, S: Real> Source<'a, S> {
         }
     }
 
-    /// Takes steps until all rays are done.
+    /// Takes steps while `least` rays or more wait for the same one, a register of them at a time.
     #[inline(always)]
-    fn finish(&self, queues: &mut Queues) {
+    fn go_on(&self, queues: &mut Queues, least: usize) {
         let lanes = S::load(&LANE_NUMBERS);
-        while queues.large.len + queues.small.len + queues.cells.len > 0 {
+        // the number of those of `len` rays that take the step now
+        let whole = |len: usize| if least == 1 { len } else { len - len % S::LANES };
+        while queues.large.len.max(queues.small.len).max(queues.cells.len) >= least {
             // rays that wait on are written to places that were read before
-            while queues.large.len > 0 {
+            while queues.large.len >= least {
                 let (len, mut k) = (std::mem::take(&mut queues.large.len), 0);
-                while k < len {
+                while k < whole(len) {
                     let is_ray = lanes.lt(S::broadcast((len - k) as f32));
                     self.step_large(is_ray, queues.large.load(k), queues);
                     k += S::LANES;
                 }
+                queues.large.wait_on::<S>(k, len);
             }
-            while queues.small.len > 0 {
+            while queues.small.len >= least {
                 let (len, mut k) = (std::mem::take(&mut queues.small.len), 0);
-                while k < len {
+                while k < whole(len) {
                     let is_ray = lanes.lt(S::broadcast((len - k) as f32));
                     self.step_small(is_ray, queues.small.load(k), queues);
                     k += S::LANES;
                 }
+                queues.small.wait_on::<S>(k, len);
             }
-            while queues.cells.len > 0 {
+            while queues.cells.len >= least {
                 let (len, mut k) = (std::mem::take(&mut queues.cells.len), 0);
-                while k < len {
+                while k < whole(len) {
                     let is_ray = lanes.lt(S::broadcast((len - k) as f32));
                     self.step_cells(is_ray, queues.cells.load(k), queues);
                     k += S::LANES;
                 }
+                queues.cells.wait_on::<S>(k, len);
             }
         }
     }

@@ -25,6 +25,7 @@ BETTER = {
     "power": -1,
     "cost_of_transport": -1,
     "foot_slip": -1,
+    "stumbles": -1,
     "turn_reached": 1,
     "side_reached": 1,
     "drift_xy": -1,

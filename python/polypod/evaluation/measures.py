@@ -9,6 +9,10 @@ from polypod.arrays import Array
 CONTACT_FORCE = 1.0
 """N, above which a foot is in contact: the threshold of the task's contact sensors."""
 
+STUMBLE = 4.0
+"""A foot stumbles while the ground pushes it sideways with more than this many times the vertical
+force: it has met a wall."""
+
 TRACKING_STD = 0.5
 """m/s and rad/s, of the reference's tracking rewards."""
 
@@ -57,6 +61,19 @@ def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, 
     return (speed * contact).sum(axis=1), contact.sum(axis=1).astype(np.float64)
 
 
+def stumbles(forces: npt.ArrayLike) -> Array:
+    """How many feet stumble, see `STUMBLE`.
+
+    Args:
+        forces: [num_envs, 3 feet], net contact force on each foot, N, world axes.
+    """
+    force = np.asarray(forces, dtype=np.float64)
+    force = force.reshape(len(force), -1, 3)
+    sideways = np.linalg.norm(force[:, :, :2], axis=2)
+    is_met = (sideways > CONTACT_FORCE) & (sideways > STUMBLE * np.abs(force[:, :, 2]))
+    return is_met.sum(axis=1).astype(np.float64)
+
+
 def of_step(sim: _core.VecSim) -> dict[str, Array]:
     """All measures that an evaluation sums up, each [num_envs], of the step just taken."""
     names = ("base_lin_vel", "base_ang_vel", "command", "joint_effort", "joint_vel", "contact_forces", "feet_vel")
@@ -78,4 +95,5 @@ def of_step(sim: _core.VecSim) -> dict[str, Array]:
         "speed": np.linalg.norm(velocity, axis=1),
         "slip": slip,
         "contact": contact,
+        "stumbles": stumbles(state["contact_forces"]),
     }

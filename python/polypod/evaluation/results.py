@@ -29,6 +29,12 @@ class TileResult:
     """Share of the episodes without a fall in which the robot followed its commands, see
     `FOLLOWS`."""
     fall_rate: float
+    power: float = math.nan
+    """W, as of a robot; NaN, as the next two, in files of builds that did not write it."""
+    foot_slip: float = math.nan
+    """m/s, as of a robot."""
+    stumbles: float = math.nan
+    """Share of the feet's contacts, as of a robot."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +84,11 @@ class RobotResult:
     without random masses. NaN for a robot that has not moved or has no weight."""
     foot_slip: float
     """m/s, mean planar speed of the feet while they are in contact; NaN for one that never is."""
+    stumbles: float = math.nan
+    """Share of the feet's contacts in which a foot has met a wall, see `measures.stumbles`; NaN for
+    feet that touch nothing."""
+    robot_class: str = ""
+    """Humanoid, biped, quadruped, hexapod; empty in files of builds that did not write it."""
     terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
     """By type of tile, easiest level first; empty where the ground is no generated terrain."""
     commands: list[CommandResult] = dataclasses.field(default_factory=list)
@@ -90,14 +101,19 @@ class RobotResult:
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of successful episodes on tiles of a type and level, or of all; NaN without any."""
+        return self.on_tiles("success", kind, level)
+
+    def on_tiles(self, figure: str, kind: str | None = None, level: int | None = None) -> float:
+        """Mean over the episodes of a figure of `TileResult`, on tiles of a type and level."""
         tiles = [
-            tile
+            (getattr(tile, figure), tile.episodes)
             for name, tiles in self.terrain.items()
             for tile in tiles
             if kind in (None, name) and level in (None, tile.level)
         ]
-        episodes = sum(tile.episodes for tile in tiles)
-        return sum(tile.success * tile.episodes for tile in tiles) / episodes if episodes else float("nan")
+        known = [(value, episodes) for value, episodes in tiles if not math.isnan(value)]
+        episodes = sum(count for _, count in known)
+        return sum(value * count for value, count in known) / episodes if episodes else math.nan
 
 
 FIGURES = tuple(field.name for field in dataclasses.fields(RobotResult) if field.type is float)
@@ -154,13 +170,18 @@ class Evaluation:
 
 
 def _robot_from(content: Mapping[str, Any]) -> RobotResult:
-    numbers = {key: math.nan for key in FIGURES if content[key] is None}
-    terrain = {kind: [TileResult(**tile) for tile in tiles] for kind, tiles in content["terrain"].items()}
+    numbers = {key: math.nan for key in FIGURES if content.get(key) is None}
+    terrain = {kind: [_tile_from(tile) for tile in tiles] for kind, tiles in content["terrain"].items()}
     commands = [CommandResult(**{**entry, "command": tuple(entry["command"])}) for entry in content["commands"]]
     walking = Walking.from_dict(content["walking"]) if content.get("walking") is not None else None
     rising = Rising.from_dict(content["rising"]) if content.get("rising") is not None else None
     nested = {"terrain": terrain, "commands": commands, "walking": walking, "rising": rising}
     return RobotResult(**{**content, **numbers, **nested})
+
+
+def _tile_from(content: Mapping[str, Any]) -> TileResult:
+    figures: dict[str, Any] = {key: math.nan if value is None else value for key, value in content.items()}
+    return TileResult(**figures)
 
 
 def finite(content: Any) -> Any:
@@ -190,9 +211,8 @@ def robot_result(
     def time_average(key: str) -> float:
         return float(np.mean(sums[key] / steps))
 
-    success = _success(sums)
+    success = succeeds(sums)
     carried = weight * float(sums["speed"].sum() * step_dt)
-    contact = float(sums["contact"].sum())
     return RobotResult(
         episodes=steps.size,
         reward_per_s=float(sums["reward"].sum() / (steps.sum() * step_dt)),
@@ -206,13 +226,21 @@ def robot_result(
         episode_length_s=float(steps.mean() * step_dt),
         power=time_average("power"),
         cost_of_transport=float(sums["power"].sum() * step_dt) / carried if carried > 0.0 else math.nan,
-        foot_slip=float(sums["slip"].sum()) / contact if contact > 0.0 else math.nan,
+        foot_slip=_per_contact(sums, "slip"),
+        stumbles=_per_contact(sums, "stumbles"),
         terrain=_tiles(sums, success, kinds),
         commands=_commands(sums) if "command" in sums else [],
     )
 
 
-def _success(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
+def _per_contact(sums: Mapping[str, Array], key: str, here: Any = ...) -> float:
+    """A sum over all episodes, or those of a mask, divided by the contacts of their feet."""
+    contact = float(sums["contact"][here].sum())
+    return float(sums[key][here].sum()) / contact if contact > 0.0 else math.nan
+
+
+def succeeds(sums: Mapping[str, Array]) -> npt.NDArray[np.bool_]:
+    """Tells which episodes succeed, see `FOLLOWS`, by the sums fell, xy, still_xy and steps."""
     share, slack = FOLLOWS
     allowed = np.maximum(share * sums["still_xy"], slack * sums["steps"])
     success: npt.NDArray[np.bool_] = (sums["fell"] == 0) & (sums["xy"] <= allowed)
@@ -228,7 +256,15 @@ def _tiles(
         on_kind = np.broadcast_to(np.array([kind == other for other in kinds]), fell.shape)
         for level in np.unique(sums["level"][on_kind]):
             here = on_kind & (sums["level"] == level)
-            tile = TileResult(int(level), int(here.sum()), float(success[here].mean()), float(fell[here].mean()))
+            tile = TileResult(
+                level=int(level),
+                episodes=int(here.sum()),
+                success=float(success[here].mean()),
+                fall_rate=float(fell[here].mean()),
+                power=float(np.mean(sums["power"][here] / sums["steps"][here])),
+                foot_slip=_per_contact(sums, "slip", here),
+                stumbles=_per_contact(sums, "stumbles", here),
+            )
             result.setdefault(kind, []).append(tile)
     return result
 

@@ -164,17 +164,18 @@ def evaluate(
         runs.append(sums if on_grid is None or first is None else {**sums, "command": first.astype(np.float64)})
     disturbances = _core.disturbances(name, of_task)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
-    masses = {robot: info["mass"] for robot, info in json.loads(sim.robot_info()).items()}
+    infos = json.loads(sim.robot_info())
     gravity = float(np.linalg.norm(sim.gravity))
     results = {}
     for robot in sim.robots:
         envs = slice(*sim.env_ids(robot))
         of_robot = {key: value[:, envs] for key, value in figures.items()}
-        found = robot_result(of_robot, length, sim.step_dt, masses[robot] * gravity, kinds[envs])
+        found = robot_result(of_robot, length, sim.step_dt, infos[robot]["mass"] * gravity, kinds[envs])
         asked = walking.kinds_of(sim.command_ranges()[robot])
         risen = {key: np.concatenate([each[key][envs] for each in rises]) for key in ("up", "held") if rises}
         results[robot] = dataclasses.replace(
             found,
+            robot_class=infos[robot]["class"],
             walking=walking.figures(records, envs, asked) if records else None,
             rising=rising.rising(**risen) if robot in wanted else None,
         )

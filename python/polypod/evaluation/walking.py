@@ -349,6 +349,11 @@ class Record:
         steps: Array = self._steps.sum(axis=0)
         return steps
 
+    def sums(self, envs: slice = slice(None)) -> dict[str, Array]:
+        """Sums over each env's episode by which success is judged, named as in `of_step`."""
+        xy, _, still_xy, _ = self._errors[:, envs].sum(axis=0).T
+        return {"steps": self.steps[envs], "fell": self.fell[envs].astype(np.float64), "xy": xy, "still_xy": still_xy}
+
     def walking(self, envs: slice = slice(None), kinds: Sequence[str] | None = None) -> Walking:
         """The figures of the envs of one robot; `kinds` as `figures`."""
         return figures([self], envs, kinds)

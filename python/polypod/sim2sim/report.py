@@ -18,7 +18,7 @@ def show(comparison: Comparison) -> None:
         markup=False,
     )
     columns = ("err xy", "MuJoCo", "still", "err yaw", "MuJoCo", "still", "turn", "MuJoCo", "drift", "MuJoCo")
-    table = Rows("robot", *columns, "falls", "MuJoCo", "transfers")
+    table = Rows("robot", *columns, "falls", "MuJoCo", "success", "MuJoCo", "transfers")
     for name, robot in comparison.robots.items():
         ours, theirs = robot.polypod, robot.mujoco
         table.add_row(
@@ -33,6 +33,7 @@ def show(comparison: Comparison) -> None:
             *(_known(figures, "drift_xy", ".3f") for figures in (ours, theirs)),
             f"{ours.fall_rate:.1%}",
             f"{theirs.fall_rate:.1%}",
+            *(shown(figures.success_rate, ".0%") for figures in (ours, theirs)),
             "yes" if robot.transfers else "no",
         )
     table.print(console)

@@ -18,7 +18,7 @@ from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import Policy, Walking, play_task, rising, undisturbed, walking
-from polypod.evaluation.results import finite
+from polypod.evaluation.results import finite, succeeds
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
@@ -98,6 +98,9 @@ class Figures:
     """m/s, of a robot that stands still; NaN in files of builds that did not write it."""
     still_error_vel_yaw: float = math.nan
     """rad/s, of a robot that stands still."""
+    success_rate: float = math.nan
+    """Share of the episodes without a fall in which the robot followed its commands, as of an
+    evaluation; NaN in files of builds that did not write it."""
     walking: Walking | None = None
     """Figures of the definition of walking; None in files of builds that did not write them."""
 
@@ -348,6 +351,7 @@ class Episode:
             episode_length_s=float(record.steps[envs].mean() * self.step_dt),
             still_error_vel_xy=found.still_error_vel_xy,
             still_error_vel_yaw=found.still_error_vel_yaw,
+            success_rate=float(succeeds(record.sums(envs)).mean()),
             walking=found,
         )
 

@@ -7,7 +7,6 @@ import torch
 from tensordict import TensorDict
 
 from polypod import _core
-from polypod.runs.schema import OBSERVATION_GROUP
 from polypod.training.adam import give_moments, take_moments
 from polypod.training.gpu_update import Samples, Update
 from polypod.training.native import NETWORKS, NativeRunner, array_of
@@ -20,8 +19,11 @@ class NativeSamples(Samples):
 
     def __init__(self, sim: _core.VecSim, num_steps: int, device: torch.device) -> None:
         """Makes room for `num_steps` steps of the envs of `sim`."""
-        super().__init__({OBSERVATION_GROUP: sim.num_obs}, sim.num_actions, sim.num_envs * num_steps, device)
-        self._device = {"observations": self.observations[OBSERVATION_GROUP], **self.numbers}
+        groups, count = sim.observation_groups, sim.num_envs * num_steps
+        super().__init__({}, sim.num_actions, count, device)
+        rows = torch.zeros((count, max(stop for _, stop in groups.values())), device=device)
+        self.observations = {name: rows[:, start:stop] for name, (start, stop) in groups.items()}
+        self._device = {"observations": rows, **self.numbers}
         is_cuda = device.type == "cuda"
         self._host = {name: torch.zeros(tensor.shape, pin_memory=is_cuda) for name, tensor in self._device.items()}
         self._arrays: dict[str, np.ndarray] = {name: tensor.numpy().ravel() for name, tensor in self._host.items()}

@@ -120,26 +120,40 @@ class Reporter:
         self._rising(evaluation)
         for robot, distance in evaluation.distances.items():
             self.message(f"  {robot}: its description is {distance}")
-        kinds = list(dict.fromkeys(kind for result in evaluation.robots.values() for kind in result.terrain))
+        self._tiles(list(evaluation.robots.values()), list(evaluation.robots))
+
+    def _tiles(self, results: Sequence[RobotResult], robots: Sequence[str]) -> None:
+        """Prints success by robot, class, type and level of tile, and what feet do on each type."""
+        kinds = list(dict.fromkeys(kind for result in results for kind in result.terrain))
         if not kinds:
             return
         self.message("success by type of tile, all levels: no fall, and the commands were followed")
         table = Rows("robot", *kinds, "all")
-        for robot, result in evaluation.robots.items():
-            table.add_row(robot, *(f"{result.success(kind):.0%}" for kind in kinds), f"{result.success():.0%}")
+        for robot, result in zip(robots, results, strict=True):
+            table.add_row(robot, *(shown(result.success(kind), ".0%") for kind in (*kinds, None)))
+        classes = list(dict.fromkeys(result.robot_class for result in results))
+        if len(classes) > 1:
+            for name in classes:
+                of_class = [result for result in results if result.robot_class == name]
+                cells = (_mean([result.success(kind) for result in of_class], ".0%") for kind in (*kinds, None))
+                table.add_row(f"{name} ({len(of_class)})", *cells)
         table.print(self.console)
-        levels = sorted(
-            {tile.level for result in evaluation.robots.values() for tiles in result.terrain.values() for tile in tiles}
-        )
+        levels = sorted({tile.level for result in results for tiles in result.terrain.values() for tile in tiles})
         self.message("success by level, mean over the robots")
         table = Rows("level", *kinds, "all")
         for level in levels:
-            shares = []
-            for kind in (*kinds, None):
-                of_robots = [result.success(kind, level) for result in evaluation.robots.values()]
-                met = [share for share in of_robots if not math.isnan(share)]
-                shares.append(f"{sum(met) / len(met):.0%}" if met else "-")
-            table.add_row(str(level), *shares)
+            cells = (_mean([result.success(kind, level) for result in results], ".0%") for kind in (*kinds, None))
+            table.add_row(str(level), *cells)
+        table.print(self.console)
+        self.message(
+            "by type of tile, mean over the robots; stumbles: share of the contacts in which a foot meets a wall"
+        )
+        table = Rows("type", *_OF_TILES)
+        for kind in kinds:
+            cells = (
+                _mean([result.on_tiles(key, kind) for result in results], form) for key, form in _OF_TILES.values()
+            )
+            table.add_row(kind, *cells)
         table.print(self.console)
 
     def _verdict(self, evaluation: Evaluation) -> None:
@@ -219,6 +233,20 @@ def walking_cells(figures: walking.Walking) -> dict[str, str]:
         "falls": f"{figures.fall_rate:.1%}",
         "walks": "yes" if walking.walks(figures) else "no",
     }
+
+
+_OF_TILES = {
+    "falls": ("fall_rate", ".1%"),
+    "slip": ("foot_slip", ".2f"),
+    "stumbles": ("stumbles", ".1%"),
+    "power": ("power", ".0f"),
+}
+
+
+def _mean(values: Sequence[float], form: str) -> str:
+    """The mean of the values that are numbers; a dash where none is."""
+    met = [value for value in values if not math.isnan(value)]
+    return format(sum(met) / len(met), form) if met else "-"
 
 
 def _walking(result: RobotResult) -> dict[str, str]:

@@ -228,3 +228,40 @@ def test_frames_in_mujoco_are_held_and_late(tmp_path):
             if step >= 3 + row and (step - 3 - row) % 3 == 0:
                 shown = step - 2
             np.testing.assert_array_equal(seen[row], fresh[shown][row], err_msg=f"env {row}, step {step}")
+
+
+def test_a_held_image_is_the_one_of_its_frame(tmp_path):
+    """An image that did not change is not written again; a history writes it in every step."""
+    mount, keys = f"{{pos=[0.3, 0.0, 0.1], rot={PITCH}}}", ", update_period=0.1, delay=[0.0, 0.06]"
+    changes = (
+        "scene.terrain.num_rows=1",
+        "scene.terrain.num_cols=4",
+        "scene.terrain.max_init_terrain_level=0",
+        "sim.episode_length_s=0.3",
+        "observations.critic=[{term='image', history_length=2}]",
+    )
+    env = make(tmp_path, "velocity_rough_play", ["unitree_go2", "spot"], 6, mount, changes, keys)
+    sim, rng = env.sim, np.random.default_rng(0)
+    last, held, saved = None, 0, None
+
+    def seen():
+        newest = sim.observation_of("critic").reshape(6, 2, -1)[:, 1]
+        image = sim.observation_of("policy").copy()
+        np.testing.assert_array_equal(image, newest)
+        return image
+
+    for step in range(40):
+        env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+        image = seen()
+        if last is not None:
+            held += int((image == last).all(axis=1).sum())
+        last = image
+        if step == 20:
+            saved = sim.snapshot()
+        if step == 25:
+            sim.reset(mask=np.array([True, False] * 3))
+            seen()
+        if step == 30:
+            sim.restore(saved)
+            seen()
+    assert held > 100, "most steps show the frame of the step before"

@@ -259,3 +259,20 @@ def test_joints_are_described_to_the_critic_alone():
     described = alone.observation_of("critic")
     assert (described != 0.0).any()
     np.testing.assert_array_equal(described, beside.observation[:, -described.shape[1] :])
+
+
+def test_a_teacher_of_quadrupeds_reads_their_bodies_beside_other_robots(tmp_path):
+    """Zeros stand for the others; a policy with such zeros would tell no bodies apart."""
+    lines = ['extends = "velocity_flat_legged"', 'name = "Taught-v0"', "observations.teacher = [{term='morphology'}]"]
+    (tmp_path / "taught.toml").write_text("\n".join(lines))
+    sim = _core.VecSim(str(tmp_path / "taught.toml"), 2, robots=["unitree_a1", "unitree_h1"], threads=1)
+    sim.reset(3)
+    body, none = sim.observation_of("teacher")
+    alone = _core.VecSim(str(tmp_path / "taught.toml"), 1, robots=["unitree_a1"], threads=1)
+    alone.reset(3)
+    np.testing.assert_array_equal(body, alone.observation_of("teacher")[0])
+    assert np.abs(body).max() > 0.1
+    np.testing.assert_array_equal(none, 0.0)
+    (tmp_path / "taught.toml").write_text("\n".join([*lines[:2], "observations.policy = [{term='morphology'}]"]))
+    with pytest.raises(_core.ConfigError, match="quadrupeds of twelve joints; unitree_h1 is none"):
+        _core.VecSim(str(tmp_path / "taught.toml"), 2, robots=["unitree_a1", "unitree_h1"], threads=1)

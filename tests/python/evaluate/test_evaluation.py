@@ -135,6 +135,26 @@ def test_only_feet_on_the_ground_slip():
     np.testing.assert_array_equal(contact, [1.0, 2.0])
 
 
+def test_a_foot_stumbles_on_a_wall_and_not_on_a_slope():
+    """Sideways forces of 5 and 3 times the vertical one, of less than 1 N, and of none."""
+    forces = [[30.0, 40.0, -10.0, 30.0, 0.0, 10.0], [0.9, 0.0, 0.0, 0.0, 0.0, 200.0], [5.0, 0.0, 0.0, 0.0, 8.0, 1.0]]
+    np.testing.assert_array_equal(measures.stumbles(forces), [1.0, 0.0, 2.0])
+
+
+def test_what_feet_do_on_tiles_by_hand():
+    """Two envs on slopes of two levels: figures by tile, by type, and in the file."""
+    sums = sums_of(power=[1e4, 3e4], slip=[0.3, 0.5], contact=[3.0, 1.0], stumbles=[0.0, 1.0], level=[0.0, 4.0])
+    result = robot_result(sums, 100, 0.02, 200.0, ["slope", "slope"])
+    easy, hard = result.terrain["slope"]
+    assert (easy.level, easy.power, easy.stumbles) == (0, 100.0, 0.0)
+    assert (hard.level, hard.power, hard.stumbles) == (4, 300.0, 1.0)
+    assert (easy.foot_slip, hard.foot_slip) == (pytest.approx(0.1), 0.5)
+    assert result.stumbles == 0.25
+    assert result.on_tiles("power", "slope") == 200.0
+    assert result.on_tiles("power", level=4) == 300.0
+    assert math.isnan(result.on_tiles("power", "stairs"))
+
+
 def test_tracking_is_the_references():
     """Perfect; half a metre per second off.
 
@@ -165,6 +185,7 @@ def sums_of(**values):
         "speed",
         "slip",
         "contact",
+        "stumbles",
         "level",
     )
     given = {key: np.array([value]) for key, value in values.items()}

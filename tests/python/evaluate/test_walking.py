@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polypod.evaluation import walking
-from polypod.evaluation.results import finite
+from polypod.evaluation.results import finite, succeeds
 from polypod.evaluation.walking import BOX, KINDS, SIDE, STOP, TURN, Record, Schedule, Walking
 
 BOXES = {
@@ -260,6 +260,19 @@ def test_a_fall_ends_an_episode_and_its_segment_tells_no_mean_motion():
     assert found.by_kind[TURN].count == 2
     assert found.turn_reached == pytest.approx(1.0)
     assert math.isnan(found.drift_xy)
+
+
+def test_a_record_tells_who_succeeds():
+    """One follows, one stands still, one follows and falls; told 0.5 m/s ahead."""
+    record = Record(Schedule.constant((0.5, 0.0, 0.0), 3, 10), 0.02)
+    for step in range(10):
+        velocity = [[0.45, 0.0], [0.0, 0.0], [0.5, 0.0]]
+        record.add(velocity, np.zeros(3), np.array([False, False, step == 4]))
+    sums = record.sums()
+    np.testing.assert_array_equal(sums["steps"], [10.0, 10.0, 5.0])
+    np.testing.assert_allclose(sums["xy"], [0.5, 5.0, 0.0])
+    np.testing.assert_array_equal(succeeds(sums), [True, False, False])
+    np.testing.assert_array_equal(succeeds(record.sums(slice(1, 2))), [False])
 
 
 def test_a_state_that_is_not_finite_is_a_fall():

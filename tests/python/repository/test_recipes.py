@@ -84,16 +84,27 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
 
 
-def test_the_recipe_of_the_bundled_policy_can_be_run(tmp_path):
-    """Its stages name train configs that load, robots of the library, and stages before them."""
-    plan = recipe.read(LEGGED)
+@pytest.mark.parametrize("folder", sorted((ROOT / "lab" / "recipes").iterdir()), ids=lambda folder: folder.name)
+def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
+    """Stages name configs and tasks that load, robots of the library, and stages before them."""
+    plan = recipe.read(folder)
+    monkeypatch.setenv("POLYPOD_PATH", str(folder))
     library = {entry["name"] for entry in _core.robots()}
-    known = set(bundled.NAMES)
+    known, tasks = set(bundled.NAMES), {}
     for stage in plan.stages:
-        config.load(str(LEGGED / stage.config))
-        robots = plan.robots(stage.robots, tmp_path)
+        task = config.load(str(folder / stage.config)).run.task
+        robots = plan.robots([name for name in stage.robots if not name.startswith("@drawn.")], tmp_path)
         assert set(robots) <= library, stage.name
+        changes = tuple(change for change in stage.changes if not change.startswith("train."))
+        tasks.setdefault((task, changes), set()).update(robots)
         assert {*stage.teachers.values(), *([stage.init] if stage.init else [])} <= known, stage.name
         known.add(stage.name)
+    for (task, changes), robots in tasks.items():
+        _core.VecSim(task, len(robots), robots=sorted(robots), overrides=list(changes), threads=1)
+
+
+def test_the_recipe_of_the_bundled_policy_has_all_robots(tmp_path):
+    plan = recipe.read(LEGGED)
+    library = {entry["name"] for entry in _core.robots()}
     manifest = json.loads((bundled.checkpoint("legged").parent / "manifest.json").read_text())
-    assert sorted(manifest["robots"]) == sorted(library) == sorted(robots)
+    assert sorted(manifest["robots"]) == sorted(library) == sorted(plan.robots(plan.stages[-1].robots, tmp_path))
