@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from common import ROOT
 from lab import recipe
@@ -14,6 +15,7 @@ from polypod.evaluation import evaluate_checkpoint
 from polypod.runs import config
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
+SKILLS = ROOT / "lab" / "recipes" / "skills"
 PLAN = """
 bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped", "--prefix", "d"]]
 [groups]
@@ -84,16 +86,31 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
 
 
-def test_the_recipe_of_the_bundled_policy_can_be_run(tmp_path):
+@pytest.mark.parametrize("words", [(), ("--actor",)])
+def test_a_policy_may_go_without_its_critic(made, tmp_path, words):
+    model = str(made[1] / "teacher" / "model.pt")
+    lab("lab.bundle", model, str(tmp_path / "policy"), "--task", "velocity_flat_teacher", *words)
+    (kept,) = (tmp_path / "policy").glob("model_*.pt")
+    assert ("critic_state_dict" in torch.load(kept, weights_only=True)) == (not words)
+
+
+@pytest.mark.parametrize("folder", [LEGGED, SKILLS], ids=lambda folder: folder.name)
+def test_a_recipe_can_be_run(folder, tmp_path):
     """Its stages name train configs that load, robots of the library, and stages before them."""
-    plan = recipe.read(LEGGED)
+    plan = recipe.read(folder)
     library = {entry["name"] for entry in _core.robots()}
     known = set(bundled.NAMES)
     for stage in plan.stages:
-        config.load(str(LEGGED / stage.config))
+        config.load(str(folder / stage.config) if (folder / stage.config).is_file() else stage.config)
         robots = plan.robots(stage.robots, tmp_path)
         assert set(robots) <= library, stage.name
         assert {*stage.teachers.values(), *([stage.init] if stage.init else [])} <= known, stage.name
         known.add(stage.name)
+
+
+def test_the_bundled_policy_knows_all_robots(tmp_path):
+    plan = recipe.read(LEGGED)
+    library = {entry["name"] for entry in _core.robots()}
+    robots = plan.robots(plan.stages[-1].robots, tmp_path)
     manifest = json.loads((bundled.checkpoint("legged").parent / "manifest.json").read_text())
     assert sorted(manifest["robots"]) == sorted(library) == sorted(robots)

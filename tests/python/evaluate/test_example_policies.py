@@ -1,0 +1,56 @@
+"""The policies in examples/policies do what the pages say of them."""
+
+import json
+
+import pytest
+import torch
+
+from common import ROOT
+from polypod.evaluation import evaluate_checkpoint, rising, tracking
+from polypod.runs import run_dir
+from polypod.sim2sim import beginning, on_rising
+
+FOLDER = ROOT / "examples" / "policies"
+ALL = sorted(path.parent for path in FOLDER.glob("*/manifest.json"))
+
+
+def model(name):
+    (found,) = (FOLDER / name).glob("model_*.pt")
+    return found
+
+
+@pytest.mark.parametrize("folder", ALL, ids=lambda folder: folder.name)
+def test_they_hold_an_actor_and_nothing_of_the_machine(folder):
+    state = torch.load(model(folder.name), weights_only=True)
+    assert state.keys() == {"actor_state_dict", "iter", "infos"}
+    manifest = json.loads((folder / run_dir.MANIFEST).read_text(encoding="utf-8"))
+    assert "/tmp" not in json.dumps(manifest)
+    assert "/work" not in json.dumps(manifest)
+    assert manifest["overrides"] == []
+    assert (ROOT / "lab" / "recipes" / "skills").name in manifest["command"]
+
+
+@pytest.mark.parametrize("name", ["getup", "getup_g1", "hind_legs"])
+def test_robots_get_up(name):
+    found = evaluate_checkpoint(model(name), num_envs=128, threads=2)
+    for robot, result in found.robots.items():
+        assert result.rising.rate >= rising.ENOUGH, robot
+
+
+def test_go1_stands_on_its_hind_legs_for_ten_seconds():
+    found = evaluate_checkpoint(model("hind_legs"), num_envs=128, threads=2, overrides=["sim.episode_length_s=14.0"])
+    assert found.robots["unitree_go1"].rising.least_held_s >= 10.0
+
+
+def test_robots_get_up_in_mujoco():
+    found = on_rising.compare(model("getup"), None, beginning.Options(16))
+    assert found.transfers
+
+
+def test_humanoids_track_the_drawn_motions():
+    found = tracking.measure_checkpoint(model("tracking"), episodes=16, threads=2)
+    assert sorted(found) == ["booster_t1", "unitree_g1", "unitree_h1"]
+    for robot, clips in found.items():
+        assert sorted(clips) == ["squat", "turn", "walk", "wave"]
+        for name, result in clips.items():
+            assert result.followed >= tracking.SHARE, (robot, name)
