@@ -2,11 +2,15 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 
 from common import ROOT
-from polypod.evaluation import evaluate_checkpoint, rising, tracking
+from polypod import _core
+from polypod.compat import tomllib
+from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
+from polypod.policy import load
 from polypod.runs import run_dir
 from polypod.sim2sim import beginning, on_rising
 
@@ -35,6 +39,42 @@ def test_robots_get_up(name):
     found = evaluate_checkpoint(model(name), num_envs=128, threads=2)
     for robot, result in found.robots.items():
         assert result.rising.rate >= rising.ENOUGH, robot
+
+
+@pytest.mark.parametrize("name", ["getup", "getup_g1"])
+def test_robots_get_up_from_where_they_lie(name):
+    """The tasks drop robots; here they first lie for two seconds, in the joint angles drawn."""
+    policy = load(model(name))
+    manifest = policy.manifest
+    robots, slots = manifest["robots"], manifest["canonical_joint_names"]
+    changes = ["sim.episode_length_s=20.0", "observations.enable_noise=false"]
+    sim = _core.VecSim(
+        play_task(manifest["task"]),
+        128,
+        robots=robots,
+        seed=3,
+        threads=2,
+        overrides=changes,
+        autoreset="disabled",
+        slots=slots,
+    )
+    goals = rising.goals(sim, tomllib.loads(sim.resolved_config()))
+    infos = json.loads(sim.robot_info())
+    hold = sim.state("joint_pos") - sim.state("default_joint_pos")
+    for robot in robots:
+        hold[slice(*sim.env_ids(robot))] /= infos[robot]["action_scale"]
+    for _ in range(100):
+        sim.step(hold)
+    lying = rising.Record(sim, goals)
+    lying.add(np.ones(128, dtype=np.bool_))
+    assert lying.episodes()["held"].max() == 0.0, "all lie"
+    record, run = rising.Record(sim, goals), policy.runner()
+    for _ in range(300):
+        sim.step(run(sim.observation))
+        record.add(np.ones(128, dtype=np.bool_))
+    for robot in robots:
+        mine = {key: values[slice(*sim.env_ids(robot))] for key, values in record.episodes().items()}
+        assert rising.rising(**mine).rate >= rising.ENOUGH, robot
 
 
 def test_go1_stands_on_its_hind_legs_for_ten_seconds():
