@@ -98,7 +98,7 @@ def is_up(goal: Goal, gravity: Array, height: Array) -> npt.NDArray[np.bool_]:
 
 
 class Uptime:
-    """Who is up, and for how long, over the control steps of one episode per env."""
+    """Counts how long envs are up, over the control steps of one episode per env."""
 
     def __init__(self, num_envs: int, step_dt: float) -> None:
         """Begins the episodes."""

@@ -11,8 +11,8 @@ LOGS = Path("logs")
 def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
     """A file.
 
-    Of a run's folder the last checkpoint. Where there is no such file, a bundled policy by its name
-    or the last checkpoint of a run by its name.
+    A run's folder stands for its last checkpoint. Where there is no such file, a bundled policy by
+    its name or the last checkpoint of a run by its name.
 
     Args:
         given: path, name of a bundled policy, or name of a run or the end of it. None: the bundled

@@ -1,4 +1,4 @@
-"""What a policy is asked for, by the task of its training."""
+"""Tells by the task of its training what a policy is asked for."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ Asked = Literal["velocity", "rising", "motions"]
 
 
 def of(checkpoint: Path, robots: Sequence[str] | None, overrides: Sequence[str]) -> Asked:
-    """What the policy of a checkpoint is asked for; velocities where nothing else can be told.
+    """Tells what the policy of a checkpoint is asked for; velocities where nothing else is known.
 
     Args:
         checkpoint: a `model_<n>.pt` next to its manifest, or an ONNX file that says its task.

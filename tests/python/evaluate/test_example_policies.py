@@ -91,7 +91,7 @@ def test_robots_get_up_in_mujoco():
     ("name", "robots"), [("tracking_g1", ["unitree_g1"]), ("tracking", ["unitree_g1", "booster_t1"])]
 )
 def test_humanoids_track_the_drawn_motions(name, robots):
-    """Of the policy of three, H1 does not follow all motions."""
+    """The policy of three does not follow all motions with H1."""
     found = tracking.measure_checkpoint(model(name), robots, episodes=16, threads=2)
     assert sorted(found) == sorted(robots)
     for robot, clips in found.items():

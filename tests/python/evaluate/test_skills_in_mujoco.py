@@ -62,7 +62,7 @@ def test_who_lies_is_not(gets_up):
 
 
 def test_the_task_says_which_touches_end_an_episode():
-    """A base may lie on the ground where a robot gets up, and no thigh where it stands on its feet."""
+    """A base may lie on the ground where a robot gets up, and no thigh where it rears."""
     manifest = {"task": "Getup-Flat-v0", "overrides": [], "canonical_joint_names": []}
     poses = on_rising.Poses(manifest, ["unitree_go1"], beginning.Options(1))
     assert not poses.ends("unitree_go1", None).groups
