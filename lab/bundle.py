@@ -63,6 +63,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--task", required=True)
     parser.add_argument("--recipe", default="lab/recipes/legged")
+    parser.add_argument("--actor", action="store_true", help="leave out the critic, which --init alone reads")
     arguments = parser.parse_args()
     state = run_dir.load_checkpoint(arguments.model)
     recipe = shlex.join(["python", "-m", "lab.recipe", arguments.recipe])
@@ -73,7 +74,8 @@ def main() -> None:
     arguments.folder.mkdir(parents=True)
     checkpoint = arguments.folder / f"model_{state['iter']}.pt"
     (arguments.folder / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
-    kept = {**{key: state[key] for key in KEPT if key in state}, "iter": state["iter"], "infos": {}}
+    networks = KEPT[:1] if arguments.actor else KEPT
+    kept = {**{key: state[key] for key in networks if key in state}, "iter": state["iter"], "infos": {}}
     run_dir.save_checkpoint(checkpoint, lambda file: torch.save(kept, file))
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
 

@@ -120,22 +120,10 @@ class Motions:
             threads=thread_count(self.threads, "--threads"),
             overrides=list(self.set),
         )
-        follows = True
-        for robot, clips in found.items():
-            print(robot)
-            print("  motion      followed  failed  base m (95 %)   base deg (95 %)  worst link m (95 %)")
-            for name, result in clips.items():
-                worst = max(result.links_m, key=lambda link: result.links_m[link][1])
-                mean, high = result.links_m[worst]
-                print(
-                    f"  {name:<10} {result.followed:>8.0%} {result.failed:>7.0%}  {result.base_m[0]:.3f} "
-                    f"({result.base_m[1]:.3f})   {result.base_deg[0]:4.1f} ({result.base_deg[1]:4.1f})      "
-                    f"{mean:.3f} ({high:.3f}) {worst}"
-                )
-                follows &= result.followed >= tracking.SHARE
-        figures = {robot: {name: dataclasses.asdict(r) for name, r in clips.items()} for robot, clips in found.items()}
-        write_json(self.json, figures)
-        return 0 if follows else 3
+        for text in tracking.lines_of(found):
+            print(text)
+        write_json(self.json, tracking.as_dict(found))
+        return 0 if tracking.follows(found) else 3
 
 
 def _figures(made: Any) -> list[str]:

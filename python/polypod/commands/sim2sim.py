@@ -12,7 +12,7 @@ from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, a
 class Sim2sim:
     """Let the exported policy drive the same robots in MuJoCo and in polypod.
 
-    Needs the extras export and bench.
+    Needs the extras export and bench. Policies that get up or track motions are judged by that.
 
     Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by.
     """
@@ -26,7 +26,8 @@ class Sim2sim:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     num_envs: Count = None
-    """Envs per robot. Default: 32, with --model 20."""
+    """Envs per robot, of a policy that tracks motions for each of them. Default: 32, with --model
+    20, with motions 16."""
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Annotated[Literal["walking", "task", "phases"] | None, arg(metavar="{walking,task,phases}")] = None
@@ -110,8 +111,14 @@ class Sim2sim:
     def _in_mujoco(self) -> int:
         from polypod import runs, sim2sim
         from polypod.progress import Progress
-        from polypod.sim2sim.report import show
+        from polypod.sim2sim import asked, on_rising
+        from polypod.sim2sim.report import show, show_rising
 
+        checkpoint, robots = runs.resolve(self.checkpoint), names(self.robots)
+        if (asks := asked.of(checkpoint, robots, self.set)) != "velocity":
+            self._refuse_commands(asks)
+        if asks == "motions":
+            return self._with_motions(checkpoint, robots)
         usual = sim2sim.Options()
         options = sim2sim.Options(
             envs_per_robot=usual.envs_per_robot if self.num_envs is None else self.num_envs,
@@ -131,10 +138,43 @@ class Sim2sim:
             def progress(name: str, done: int, total: int) -> None:
                 bars(name if name == "polypod" else f"mujoco {name}", done, total)
 
-            comparison = sim2sim.compare(runs.resolve(self.checkpoint), names(self.robots), options, progress)
+            if asks == "rising":
+                risen = on_rising.compare(checkpoint, robots, options, progress)
+            else:
+                comparison = sim2sim.compare(checkpoint, robots, options, progress)
+        if asks == "rising":
+            show_rising(risen)
+            write_json(self.json, risen.as_dict())
+            return 0 if risen.transfers else 3
         show(comparison)
         write_json(self.json, comparison.as_dict())
         return 0 if comparison.transfers else 3
+
+    def _refuse_commands(self, asks: str) -> None:
+        """Raises ConfigError for flags of a policy that follows no velocity command."""
+        keys = ["commands", "command"]
+        if asks == "motions":
+            keys += ["steps", "dt", "integrator", "friction", "soft_contact", "terms"]
+        usual = {field.name: field.default for field in dataclasses.fields(self)}
+        for key in keys:
+            if getattr(self, key) != usual[key]:
+                what = "tracks motions" if asks == "motions" else "follows no velocity command"
+                raise _core.ConfigError(f"--{key.replace('_', '-')}: the policy {what}; leave it out")
+
+    def _with_motions(self, checkpoint: Path, robots: list[str] | None) -> int:
+        from polypod.evaluation import tracking
+        from polypod.sim2sim import on_motions
+
+        found = {}
+        for where, module in (("polypod", tracking), ("MuJoCo", on_motions)):
+            found[where] = module.measure_checkpoint(
+                checkpoint, robots, episodes=self.num_envs or 16, seed=self.seed, overrides=list(self.set)
+            )
+            print(f"in {where}")
+            for text in tracking.lines_of(found[where]):
+                print(text)
+        write_json(self.json, {where.lower(): tracking.as_dict(results) for where, results in found.items()})
+        return 0 if tracking.follows(found["MuJoCo"]) else 3
 
     def _on_model(self, model: Path) -> int:
         from polypod import runs

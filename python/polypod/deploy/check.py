@@ -33,7 +33,7 @@ from polypod.networks.policies import NetworkPolicy, reset
 from polypod.observation import placed
 from polypod.policy import METADATA, load
 from polypod.runs import manifest as manifests
-from polypod.sim2sim import run
+from polypod.sim2sim import beginning, run
 from polypod.sim2sim.commands import Commanded
 
 BOUND = 1e-5
@@ -191,7 +191,7 @@ def check(path: Path, options: Options | None = None) -> Check:
     ((_, interface),) = interfaces(changed, [source]).items()
     _check_robot(file, interface, manifest)
     network, reference = _network(file, manifest, source, options.checkpoint)
-    settings = run.Options(options.num_envs, options.steps, options.seed, overrides=options.overrides)
+    settings = beginning.Options(options.num_envs, options.steps, options.seed, overrides=options.overrides)
     played = {}
     for simulator in dict.fromkeys(options.simulators):
         episode = run.Episode(manifest, [source], settings)
@@ -443,13 +443,13 @@ def _in_mujoco(
 ) -> Played:
     """MuJoCo drives its robots with the loop's joint targets."""
     name = interface.name
-    run.check_steps(episode.physics, episode.step_dt, name)
+    beginning.check_steps(episode.physics, episode.step_dt, name)
     if own := _own_terms(interface):
         raise _core.ConfigError(
             f"the policy takes {', '.join(own)}, which no sensor gives in MuJoCo; choose --simulators polypod"
         )
     driver = _Driver(file, interface, network, episode.envs_per_robot)
-    driver.twin = twin = run.twin_of(episode, name, source, interface, driver)
+    driver.twin = twin = beginning.twin_of(episode, name, source, interface, driver)
     twin.reset(*episode.start[name])
     for step in range(episode.steps):
         commands = episode.commands.at(step, rotations.heading(twin.qpos[:, 3:7]))

@@ -23,6 +23,8 @@ HEIGHT = 0.9
 """Least height of a base that is up, as a share of the height wanted."""
 WITHIN_S = 4.0
 """Time in which a robot must get up, s."""
+ENOUGH = 0.9
+"""Share of the episodes in which a robot that gets up must do so."""
 BEFORE_THE_END_S = 1.0
 """Least time that a robot must have been up at the end of its episode, s."""
 
@@ -95,34 +97,49 @@ def is_up(goal: Goal, gravity: Array, height: Array) -> npt.NDArray[np.bool_]:
     return up
 
 
+class Uptime:
+    """Counts how long envs are up, over the control steps of one episode per env."""
+
+    def __init__(self, num_envs: int, step_dt: float) -> None:
+        """Begins the episodes."""
+        self._dt = step_dt
+        self._steps = 0
+        self._since = np.zeros(num_envs, dtype=np.int64)
+        self._longest = np.zeros(num_envs, dtype=np.int64)
+
+    def add(self, up: npt.NDArray[np.bool_]) -> None:
+        """Sees a control step; `up` are the envs that run and are up."""
+        self._steps += 1
+        self._since = np.where(up, self._since + 1, 0)
+        self._longest = np.maximum(self._longest, self._since)
+
+    def episodes(self) -> dict[str, Array]:
+        """[num_envs] each: when an env is up to the end, s, or infinity; and `held`, s."""
+        since = self._since * self._dt
+        is_late = since < BEFORE_THE_END_S - 1e-9
+        return {"up": np.where(is_late, np.inf, self._steps * self._dt - since), "held": self._longest * self._dt}
+
+
 class Record:
-    """Control steps of one episode per env."""
+    """Control steps of one episode per env of a simulator."""
 
     def __init__(self, sim: _core.VecSim, found: Mapping[str, Goal]) -> None:
         """Begins the episodes."""
         self._sim, self._goals = sim, found
-        n = sim.num_envs
-        self._steps = 0
-        self._since = np.zeros(n, dtype=np.int64)
-        self._longest = np.zeros(n, dtype=np.int64)
+        self._uptime = Uptime(sim.num_envs, sim.step_dt)
 
     def add(self, running: npt.NDArray[np.bool_]) -> None:
         """Sees a control step; `running` are the envs that it has not ended by a failure."""
-        self._steps += 1
         gravity, height = self._sim.state("projected_gravity"), self._sim.state("base_height")[:, 0]
         up = np.zeros(self._sim.num_envs, dtype=np.bool_)
         for robot, goal in self._goals.items():
             mine = slice(*self._sim.env_ids(robot))
             up[mine] = is_up(goal, gravity[mine].astype(np.float64), height[mine].astype(np.float64))
-        self._since = np.where(up & running, self._since + 1, 0)
-        self._longest = np.maximum(self._longest, self._since)
+        self._uptime.add(up & running)
 
     def episodes(self) -> dict[str, Array]:
-        """[num_envs] each: when an env is up to the end, s, or infinity; and `held`, s."""
-        dt = self._sim.step_dt
-        since = self._since * dt
-        is_late = since < BEFORE_THE_END_S - 1e-9
-        return {"up": np.where(is_late, np.inf, self._steps * dt - since), "held": self._longest * dt}
+        """See `Uptime.episodes`."""
+        return self._uptime.episodes()
 
 
 def rising(up: Array, held: Array) -> Rising:

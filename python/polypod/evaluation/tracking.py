@@ -185,6 +185,32 @@ def _results(seen: Seen) -> dict[str, ClipResult]:
     return results
 
 
+def follows(found: Mapping[str, Mapping[str, ClipResult]]) -> bool:
+    """Whether all robots follow all motions in `SHARE` of their episodes."""
+    return all(result.followed >= SHARE for clips in found.values() for result in clips.values())
+
+
+def lines_of(found: Mapping[str, Mapping[str, ClipResult]]) -> list[str]:
+    """Figures as a table for each robot."""
+    lines = []
+    for robot, clips in found.items():
+        lines += [robot, "  motion      followed  failed  base m (95 %)   base deg (95 %)  worst link m (95 %)"]
+        for name, result in clips.items():
+            worst = max(result.links_m, key=lambda link: result.links_m[link][1])
+            mean, high = result.links_m[worst]
+            lines.append(
+                f"  {name:<10} {result.followed:>8.0%} {result.failed:>7.0%}  {result.base_m[0]:.3f} "
+                f"({result.base_m[1]:.3f})   {result.base_deg[0]:4.1f} ({result.base_deg[1]:4.1f})      "
+                f"{mean:.3f} ({high:.3f}) {worst}"
+            )
+    return lines
+
+
+def as_dict(found: Mapping[str, Mapping[str, ClipResult]]) -> dict[str, Any]:
+    """Figures for JSON."""
+    return {robot: {name: dataclasses.asdict(r) for name, r in clips.items()} for robot, clips in found.items()}
+
+
 def _figures(values: Array) -> tuple[float, float]:
     """Mean and 95th percentile."""
     return float(values.mean()), float(np.quantile(values, 0.95))

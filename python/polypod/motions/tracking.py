@@ -215,6 +215,7 @@ class Tracker:
     def place(self, env: Any, ids: Ids) -> None:
         """Puts envs into the state of their frames, with noise where it is sampled."""
         length = env.sim.episode_length.copy()
+        parts: list[tuple[Ids, dict[str, Array]]] = []
         for reference, columns, com, rows in zip(self.references, self.columns, self.com, self.rows, strict=True):
             mine = ids[np.isin(ids, rows)]
             if not mine.size:
@@ -232,18 +233,22 @@ class Tracker:
             low, high = limits.min(axis=0), limits.max(axis=0)
             joints[:, columns] = np.clip(reference.joint_pos[frame] + bent, low, high)
             speeds[:, columns] = reference.joint_vel[frame]
-            env.sim.set_state(
-                mine,
-                base_pos=reference.base_pos[frame] + moved,
-                base_quat=quat,
-                base_lin_vel=linear,
-                base_ang_vel=angular,
-                joint_pos=joints,
-                joint_vel=speeds,
-            )
+            state = {
+                "base_pos": reference.base_pos[frame] + moved,
+                "base_quat": quat,
+                "base_lin_vel": linear,
+                "base_ang_vel": angular,
+                "joint_pos": joints,
+                "joint_vel": speeds,
+            }
+            parts.append((mine, state))
             left = reference.last[env.memory["motion_clip"][mine, 0]] - frame
             # the episode runs out of time at the clip's end: that truncates it
             length[mine] = np.maximum(env.max_episode_length - left, 0)
+        if parts:
+            # one call: each of them measures what follows from the states
+            whole = {key: np.concatenate([state[key] for _, state in parts]) for key in parts[0][1]}
+            env.sim.set_state(np.concatenate([mine for mine, _ in parts]), **whole)
         env.sim.set_episode_length(length)
         env.refresh()
         self.clear()

@@ -23,7 +23,7 @@ from polypod.robustness import schedules, twins
 from polypod.robustness.body import Body
 from polypod.robustness.conditions import Condition
 from polypod.robustness.in_polypod import Setting
-from polypod.sim2sim import on_model, run
+from polypod.sim2sim import beginning, on_model, run
 from polypod.sim2sim.driven import Driven, FoldedPolicy
 from polypod.sim2sim.maker import Choices, Maker
 
@@ -80,7 +80,9 @@ class Mujoco:
                 MuJoCo, ONNX or onnxruntime is missing.
         """
         manifest: dict[str, Any] = loaded.manifest
-        options = run.Options(envs_per_robot=num_envs, steps=setting.steps, seed=setting.seed, overrides=setting.given)
+        options = beginning.Options(
+            envs_per_robot=num_envs, steps=setting.steps, seed=setting.seed, overrides=setting.given
+        )
         overrides = [*manifest["overrides"], *setting.given]
         self._network = loaded.network
         self._interfaces = interfaces({**manifest, "overrides": overrides}, setting.sources)
@@ -92,7 +94,7 @@ class Mujoco:
                 robot = accuracy_robot.of(self._episode.sim, name, source)
                 dt = on_model.load_model(model.file, robot, model.map, model.choices).dt
                 physics = dataclasses.replace(physics, dt=dt)
-            run.check_steps(physics, self._episode.step_dt, name)
+            beginning.check_steps(physics, self._episode.step_dt, name)
         self._setting, self.num_envs = setting, num_envs
         self._stops = threading.Event()
 
@@ -111,7 +113,7 @@ class Mujoco:
         policy, start = self._policy(condition, interface), self._episode.start[body.name]
         twin: Driven
         if self._model is None:
-            twin = run.twin_of(self._episode, body.name, body.source, interface, policy, late)
+            twin = beginning.twin_of(self._episode, body.name, body.source, interface, policy, late)
         else:
             twin = self._of_maker(self._model, body, policy, late)
             start = on_model.started(twin.reference, twin.robot, *start)

@@ -11,8 +11,8 @@ LOGS = Path("logs")
 def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
     """A file.
 
-    Where there is no such file, a bundled policy by its name or the last checkpoint of a run by its
-    name.
+    A run's folder stands for its last checkpoint. Where there is no such file, a bundled policy by
+    its name or the last checkpoint of a run by its name.
 
     Args:
         given: path, name of a bundled policy, or name of a run or the end of it. None: the bundled
@@ -24,8 +24,8 @@ def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
     """
     if given is None:
         return bundled.checkpoint()
-    if _exists(given):
-        return given
+    if _exists(given) and not _is_other_folder(given):
+        return _in_folder(given)
     if str(given) in bundled.NAMES:
         return bundled.checkpoint(str(given))
     if given.name != str(given) or given.suffix in (".pt", ".onnx") or not _exists(log_dir / "rsl_rl"):
@@ -34,6 +34,24 @@ def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
     from polypod.runs.run_dir import find_checkpoint, has_run
 
     return find_checkpoint(log_dir, str(given)) if has_run(log_dir, str(given)) else given
+
+
+def _in_folder(path: Path) -> Path:
+    """The last checkpoint of a run's folder, or a file as it is."""
+    if not path.is_dir():
+        return path
+    # it imports torch
+    from polypod.runs.run_dir import latest_checkpoint
+
+    return latest_checkpoint(path)
+
+
+def _is_other_folder(path: Path) -> bool:
+    """Whether it is a folder without checkpoints, such as one that is called like a policy."""
+    try:
+        return path.is_dir() and next(path.glob("model_*.pt"), None) is None
+    except OSError:  # a folder of others
+        return True
 
 
 def _exists(path: Path) -> bool:

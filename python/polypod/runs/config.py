@@ -263,7 +263,8 @@ def _named(expected: Any) -> str:
     return str(getattr(expected, "__name__", expected))
 
 
-CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.")
+_OF_MOTIONS = ("motions.rewards.", "motions.terminations.", "motions.reset.", "motions.sampling.")
+CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.", *_OF_MOTIONS)
 """Prefixes of keys in `[run] task_changes`: a policy of the changed task is one of the task."""
 MAX_ACTION = 1e6
 """Largest limit of actions."""

@@ -25,7 +25,7 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.files import read_bytes
 from polypod.policy import load
 from polypod.provenance import Measured, measured
-from polypod.sim2sim import differences, maker, mapping, mjcf, phases, run
+from polypod.sim2sim import beginning, differences, maker, mapping, mjcf, phases, run
 from polypod.sim2sim.commands import Commands
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
@@ -209,7 +209,7 @@ def play(
         options.map,
         Choices(options.actuators, options.contact, options.dt, options.integrator, options.friction),
     )
-    run.check_steps(dataclasses.replace(stage.episode.physics, dt=model.dt), stage.episode.step_dt, stage.name)
+    beginning.check_steps(dataclasses.replace(stage.episode.physics, dt=model.dt), stage.episode.step_dt, stage.name)
     when = measured()
     ours = stage.in_polypod(progress, watch)
     theirs = stage.on(model, progress, watch)
@@ -323,7 +323,7 @@ class Stage:
         self.episode = Episode(
             manifest,
             [robot],
-            run.Options(envs_per_robot=options.episodes, seed=options.seed, overrides=overrides),
+            beginning.Options(envs_per_robot=options.episodes, seed=options.seed, overrides=overrides),
         )
         if self.episode.heights is not None:
             raise _core.ConfigError(
@@ -351,7 +351,7 @@ class Stage:
 
     def twin_of(self, policy: FoldedPolicy | None = None) -> Twin:
         """Polypod's robot in MuJoCo, before its first reset."""
-        return run.twin_of(self.episode, self.name, self.source, self.interface, policy or self.policy())
+        return beginning.twin_of(self.episode, self.name, self.source, self.interface, policy or self.policy())
 
     def _record(self) -> PhaseRecord | None:
         if self.plan is None:
@@ -425,7 +425,7 @@ def made(
     episode: Episode,
     robot: accuracy_robot.Robot,
     interface: RobotInterface,
-    ends: run.Ends,
+    ends: beginning.Ends,
     outlines: Sequence[Any],
     policy: FoldedPolicy,
     late: int = 0,

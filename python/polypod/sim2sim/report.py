@@ -2,18 +2,19 @@
 
 import math
 
+from polypod.evaluation import rising
+from polypod.sim2sim.on_rising import RisingComparison
 from polypod.sim2sim.run import Comparison, Figures
+from polypod.sim2sim.twin import Physics
 from polypod.tables import Rows, console_of_output, shown
 
 
 def show(comparison: Comparison) -> None:
     """Prints the figures."""
     console = console_of_output()
-    physics = comparison.physics
     console.print(
         f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
-        f"MuJoCo {comparison.mujoco_version}, {physics.integrator} at {1e3 * physics.dt:g} ms, "
-        f"friction {physics.friction:g}{', soft contact' if physics.soft_contact else ''} (errors in m/s and rad/s; "
+        f"{_stepped(comparison.mujoco_version, comparison.physics)} (errors in m/s and rad/s; "
         "still: of a robot that stands still; turn: share of a pure turn; drift: when told to stop)",
         markup=False,
     )
@@ -48,6 +49,32 @@ def show(comparison: Comparison) -> None:
             "--steps for all of it",
             markup=False,
         )
+
+
+def show_rising(comparison: RisingComparison) -> None:
+    """Prints who gets up."""
+    console = console_of_output()
+    console.print(
+        f"{comparison.task}: {comparison.envs_per_robot} envs per robot, {comparison.duration_s:g} s; "
+        f"{_stepped(comparison.mujoco_version, comparison.physics)} (up: within {math.degrees(rising.TILT):.0f} "
+        f"degrees of the direction that the task rewards, at {rising.HEIGHT:.0%} of its height)",
+        markup=False,
+    )
+    up, held = f"up within {rising.WITHIN_S:g} s", "held by 95 %"
+    table = Rows("robot", up, "MuJoCo", "after", "MuJoCo", held, "MuJoCo", "transfers")
+    for name, robot in comparison.robots.items():
+        both = robot.polypod, robot.mujoco
+        rates = (f"{figures.rate:.1%}" for figures in both)
+        after = (shown(figures.time_s, ".1f") for figures in both)
+        times = (f"{figures.least_held_s:.1f} s" for figures in both)
+        table.add_row(name, *rates, *after, *times, "yes" if robot.transfers else "no")
+    table.print(console)
+
+
+def _stepped(version: str, physics: Physics) -> str:
+    """How MuJoCo steps."""
+    soft = ", soft contact" if physics.soft_contact else ""
+    return f"MuJoCo {version}, {physics.integrator} at {1e3 * physics.dt:g} ms, friction {physics.friction:g}{soft}"
 
 
 def _known(figures: Figures, key: str, form: str) -> str:

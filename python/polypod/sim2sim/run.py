@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 import math
 import shlex
 from collections.abc import Callable, Sequence
@@ -14,33 +13,20 @@ import numpy.typing as npt
 
 from polypod import _core, descriptions, rotations
 from polypod.accuracy import reference
-from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array
-from polypod.compat import tomllib
-from polypod.evaluation import Policy, Walking, play_task, rising, undisturbed, walking
+from polypod.evaluation import Policy, Walking, walking
 from polypod.evaluation.results import finite, succeeds
-from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
 from polypod.provenance import Measured, measured
-from polypod.python_terms import Terms, TermSim
+from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
+from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
 from polypod.sim2sim.commands import Commanded, Commands
-from polypod.sim2sim.driven import Drive, FoldedPolicy
-from polypod.sim2sim.own_terms import OwnTerms
-from polypod.sim2sim.twin import Physics, Twin
-from polypod.vector_env import simulator
-
-MAX_STEPS = 50_000_000
-"""Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
-DT_ON_TERRAIN = 0.002
-"""MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown
-off steep faces."""
-MARGIN = 30.0
-"""Level ground beyond that of the task, m: an episode leads some robots off their terrain."""
+from polypod.sim2sim.twin import Physics
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
@@ -49,37 +35,6 @@ Watch = Callable[[str, str, Array], None]
 joints]."""
 Seen = Callable[[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]], None]
 """Called with planar velocities [envs, 2], m/s, yaw rates [envs], rad/s, and who fell [envs]."""
-
-
-_MINIMUM_SHARE = 0.5
-"""Share of the termination `root_height_below_minimum`, where the task does not say."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """Options of a comparison."""
-
-    envs_per_robot: int = 32
-    steps: int | None = None
-    """Control steps per episode. None: a whole one, with the commands of walking at most 20 s of
-    it."""
-    seed: int = 0
-    command: tuple[float, float, float] | None = None
-    """Forward and left velocity, m/s, and yaw rate, rad/s, for all envs. None: see `commands`."""
-    commands: Drawn = "walking"
-    """"walking" for the schedule that walking is judged by, "task" for commands as the task draws
-    them."""
-    dt: float | None = None
-    """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
-    integrator: reference.Integrator = "implicitfast"
-    friction: float | None = None
-    """Friction of the ground in MuJoCo. None: the task's static one."""
-    soft_contact: bool = False
-    """See `Physics.soft_contact`."""
-    overrides: tuple[str, ...] = ()
-    """`key=value` changes to the task, on top of the run's own."""
-    terms: Path | None = None
-    """The Python file of terms that the run was begun with, which is run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,7 +168,7 @@ def compare(
         theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(in_polypod[name], theirs, episode.is_whole)
     return Comparison(
-        command=_command(checkpoint, robots, options),
+        command=command_line(checkpoint, robots, options),
         task=episode.sim.task_name,
         envs_per_robot=options.envs_per_robot,
         seed=options.seed,
@@ -226,7 +181,8 @@ def compare(
     )
 
 
-def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
+def command_line(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
+    """The command line that compares the same again."""
     given: dict[str, Any] = {
         "--checkpoint": checkpoint,
         "--robots": ",".join(robots) if robots is not None else None,
@@ -250,71 +206,22 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
     return shlex.join(words)
 
 
-@dataclasses.dataclass(frozen=True)
-class Ends:
-    """Conditions that end an episode of a robot in its task."""
-
-    groups: frozenset[str]
-    """Groups of bodies that must not touch the ground."""
-    least_height: float
-    """Least height of the base, m."""
-    most_tilt: float
-    """Largest tilt of the base, rad."""
-
-
-class Episode:
+class Episode(Beginning):
     """Initial states and commands, the same for both simulators."""
 
     def __init__(
         self, manifest: dict[str, Any], sources: list[str], options: Options, terms: Terms | None = None
     ) -> None:
         """Draws the initial states and the commands; `terms` are the run's. Raises ConfigError."""
-        name, trained = play_task(manifest["task"]), manifest["overrides"]
-        self._begin: Callable[[], _core.VecSim] = functools.partial(
-            simulator,
-            terms,
-            name,
-            options.envs_per_robot * len(sources),
-            play=True,
-            robots=sources,
-            seed=options.seed,
-            overrides=[*trained, *undisturbed(name, trained), *options.overrides],
-            autoreset="disabled",
-            slots=manifest["canonical_joint_names"],
-        )
-        self.sim = self._begin()
-        self.envs_per_robot = options.envs_per_robot
-        self.step_dt = self.sim.step_dt
-        is_scheduled = options.command is None and options.commands == "walking"
+        super().__init__(manifest, sources, options, terms)
+        is_scheduled = _is_scheduled(options)
         self.is_whole = is_scheduled and options.steps is None
-        longest = walking.episode_steps(self.step_dt) if is_scheduled else self.sim.max_episode_length
-        self.steps = min(options.steps or longest, self.sim.max_episode_length)
-        if self.steps * self.sim.num_envs > MAX_STEPS:
-            raise _core.ConfigError(
-                f"{self.sim.num_envs} envs of {self.steps} control steps are more than {MAX_STEPS:,} steps; "
-                "choose smaller --steps or --num-envs"
-            )
-        self.seed = options.seed
-        task = tomllib.loads(self.sim.resolved_config())["task"]
-        if "base_velocity" not in task["commands"]:
-            given = ", ".join(task["commands"]) or "no command"
+        if "base_velocity" not in self.task["commands"]:
+            given = ", ".join(self.task["commands"]) or "no command"
             raise _core.ConfigError(
                 f"{self.sim.task_name}: commands: the task gives {given}; sim2sim compares velocity commands "
-                "(`base_velocity`)"
+                "(`base_velocity`), getting up and tracking"
             )
-        if task["scene"].get("obstacles"):
-            raise _core.ConfigError(
-                f"{self.sim.task_name}: scene.obstacles: MuJoCo is given the task's ground and gravity; compare in a "
-                "task without obstacles"
-            )
-        self.terminations: dict[str, dict[str, Any]] = task["terminations"]
-        self.heights = heights(self.sim)
-        # a pose's height is the world's already
-        self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
-        self.task_dt: float = task["sim"]["dt"]
-        friction = _combined_friction(task) if options.friction is None else options.friction
-        dt = options.dt or (self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN))
-        self.physics = Physics(dt, options.integrator, friction, options.soft_contact, **_spin_friction(task))
         if options.command is not None:
             self.schedule = walking.Schedule.constant(options.command, self.sim.num_envs, self.steps)
             self.commands = Commands.of(self.schedule)
@@ -324,15 +231,12 @@ class Episode:
         else:
             self.schedule = walking.Schedule.elsewhere(self.sim.num_envs, self.steps)
             self.commands = Commands.draw(
-                task["commands"]["base_velocity"], _ranges(self.sim), self.steps, self.step_dt, options.seed
+                self.task["commands"]["base_velocity"], _ranges(self.sim), self.steps, self.step_dt, options.seed
             )
-        self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
-        self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
 
-    def own_terms(self, name: str) -> OwnTerms | None:
-        """Terms in Python of one robot in MuJoCo, at the beginning of the episode; None: none."""
-        sim = self._begin() if isinstance(self.sim, TermSim) else None
-        return OwnTerms(sim, name) if isinstance(sim, TermSim) else None
+    def longest(self, options: Options) -> int:
+        """Control steps of an episode where `options` do not say."""
+        return walking.episode_steps(self.step_dt) if _is_scheduled(options) else self.sim.max_episode_length
 
     def commands_of(self, name: str) -> Commands:
         """The commands of one robot's envs."""
@@ -355,27 +259,10 @@ class Episode:
             walking=found,
         )
 
-    def ends(self, name: str, interface: RobotInterface) -> "Ends":
-        """Conditions that end an episode of one robot."""
-        ends = self.terminations
-        groups = {"base", "torso", *ends.get("illegal_contact", {}).get("bodies", ())}
-        lowest = ends.get("root_height_below_minimum")
-        least_height = -np.inf
-        if lowest is not None:
-            share = lowest.get("minimum_share", _MINIMUM_SHARE)
-            least_height = lowest.get("minimum_height", rising.least_height(share, interface.info))
-        return Ends(frozenset(groups), least_height, ends.get("bad_orientation", {}).get("limit_angle", np.pi))
 
-    def delays(self, robot: accuracy_robot.Robot) -> Array:
-        """Delays [envs, joints] in physics steps, one draw per env and group of actuators."""
-        random = np.random.default_rng((self.seed, 1))
-        delays = np.zeros((self.envs_per_robot, robot.num_joints))
-        groups = np.array(robot.actuators.groups)
-        for group in dict.fromkeys(robot.actuators.groups):
-            joints = np.flatnonzero(groups == group)
-            fewest, most = robot.actuators.delay[joints[0]]
-            delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
-        return delays
+def _is_scheduled(options: Options) -> bool:
+    """Whether the commands are those that walking is judged by."""
+    return options.command is None and options.commands == "walking"
 
 
 def _ranges(sim: _core.VecSim) -> dict[str, Array]:
@@ -386,15 +273,6 @@ def _ranges(sim: _core.VecSim) -> dict[str, Array]:
         key: np.concatenate([np.tile(np.array(ranges[robot][key])[:, None], count) for robot, count in envs], axis=1)
         for key in ("lin_vel_x", "lin_vel_y", "ang_vel_z")
     }
-
-
-def heights(sim: _core.VecSim) -> reference.Heights | None:
-    """The ground of a sim and `MARGIN` beyond it; None for a plane."""
-    terrain = sim.terrain()
-    if terrain is None:
-        return None
-    x, y = terrain["origin"]
-    return reference.Heights(terrain["heights"], (x, y), terrain["cell"]).widened(MARGIN)
 
 
 def run_polypod(
@@ -420,32 +298,6 @@ def run_polypod(
                 watch("polypod", name, sim.qpos(name))
         progress("polypod", step + 1, episode.steps)
     return {name: episode.figures(name, record, slice(*sim.env_ids(name))) for name in sim.robots}
-
-
-def twin_of(
-    episode: Episode, name: str, source: str, interface: RobotInterface, policy: FoldedPolicy, late: int = 0
-) -> Twin:
-    """One robot of an episode in MuJoCo, before its first reset.
-
-    `late` physics steps are added to its delays.
-    """
-    robot = accuracy_robot.of(episode.sim, name, source)
-    ends = episode.ends(name, interface)
-    bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
-    drive = Drive(
-        interface,
-        policy,
-        step_dt=episode.step_dt,
-        physics_dt=episode.task_dt,
-        delays=episode.delays(robot) + late,
-        network_torques=functools.partial(episode.sim.network_torques, name),
-        heights=episode.heights,
-        places=episode.places[slice(*episode.sim.env_ids(name))],
-        gravity=episode.sim.gravity,
-        least_height=ends.least_height,
-        most_tilt=ends.most_tilt,
-    )
-    return Twin(robot, bodies, episode.physics, drive)
 
 
 def _run_mujoco(
@@ -474,27 +326,3 @@ def _run_mujoco(
             watch("mujoco", name, twin.qpos)
         progress(name, step + 1, episode.steps)
     return episode.figures(name, record, slice(None))
-
-
-def _combined_friction(task: dict[str, Any]) -> float:
-    """Static friction of a robot's nominal surface on the ground."""
-    ground, robot = task["scene"]["ground"], task["robot_material"]
-    a, b = ground["static_friction"], robot["static_friction"]
-    rules = {"multiply": a * b, "average": 0.5 * (a + b), "min": min(a, b), "max": max(a, b)}
-    return float(rules[ground["friction_combine"]])
-
-
-def _spin_friction(task: dict[str, Any]) -> dict[str, float]:
-    """Coefficients of torsional and rolling friction between robot and ground, m.
-
-    The larger ones of both surfaces.
-    """
-    surfaces = (task["scene"]["ground"], task["robot_material"])
-    names = ("torsional_friction", "rolling_friction")
-    return {name: max(float(surface.get(name, 0.0)) for surface in surfaces) for name in names}
-
-
-def check_steps(physics: Physics, step_dt: float, name: str) -> None:
-    """Raises ConfigError unless MuJoCo's steps make up the control steps of a robot."""
-    if physics.dt <= 0.0 or abs(step_dt / physics.dt - round(step_dt / physics.dt)) > 1e-6:
-        raise _core.ConfigError(f"dt = {physics.dt} s does not divide the control step of {step_dt} s ({name})")

@@ -51,6 +51,15 @@ def test_the_end_of_a_name_is_enough(logs, given, place):
     assert runs.resolve(Path(given), logs) == found
 
 
+def test_a_run_s_folder_is_its_last_checkpoint(logs):
+    folder = logs / "rsl_rl" / "experiment_0" / NAMES[0]
+    assert runs.resolve(folder) == folder / "model_20.pt"
+    # neither a folder of logs nor one that is called like a policy is a run
+    assert runs.resolve(logs) == logs
+    Path("flat").mkdir()
+    assert runs.resolve(Path("flat")) == FLAT_POLICY
+
+
 def test_what_several_runs_end_in_is_no_name(logs):
     for find in (lambda: run_dir.find_checkpoint(logs, "same"), lambda: runs.resolve(Path("same"))):
         with pytest.raises(polypod.ConfigError, match="end of several runs") as caught:

@@ -16,7 +16,7 @@ from polypod.evaluation import load_network, walking
 from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
 from polypod.runs import run_dir
-from polypod.sim2sim import commands, run, twin
+from polypod.sim2sim import beginning, commands, run, twin
 
 TASK = "Velocity-Flat-Universal-Play-v0"
 CLOSE = 0.1
@@ -342,7 +342,7 @@ class _FirstFalls:
 
 def test_a_policy_that_diverges_in_a_robot_that_fell_ends_nothing():
     """No step takes actions of 1e9, and those of a robot that lies on the ground are not judged."""
-    options = run.Options(envs_per_robot=2, steps=12, command=(0.0, 0.0, 0.0))
+    options = beginning.Options(envs_per_robot=2, steps=12, command=(0.0, 0.0, 0.0))
     episode = run.Episode(run_dir.read_manifest(FLAT_POLICY), ["spot"], options)
     episode.sim = _FirstFalls(episode.sim)
     fallen = np.zeros(2, dtype=np.bool_)

@@ -11,7 +11,7 @@ from polypod.export import interfaces
 from polypod.python_terms import Terms
 from polypod.python_terms.declarations import declared_by
 from polypod.runs import run_dir
-from polypod.sim2sim import own_terms, run
+from polypod.sim2sim import beginning, own_terms, run
 
 ROBOTS = ["unitree_a1", "spot"]
 FIELDS = ("base_pos", "base_quat", "base_lin_vel", "base_ang_vel", "projected_gravity", "joint_pos", "joint_vel")
@@ -78,11 +78,11 @@ def stage(*entries, robot="spot", num_envs=3):
     """Terms over MuJoCo's state, MuJoCo's robots, their policy, and the episode."""
     manifest = run_dir.read_manifest(FLAT_POLICY)
     found = Terms.of(list(declared_by(entries)), "task.py")
-    episode = run.Episode(manifest, ROBOTS, run.Options(num_envs, steps=50, seed=5), found)
+    episode = run.Episode(manifest, ROBOTS, beginning.Options(num_envs, steps=50, seed=5), found)
     interface = interfaces(manifest, [robot])[robot]
     policy = Still(interface)
     own = episode.own_terms(robot)
-    twin = run.twin_of(episode, robot, robot, interface, own.policy(policy))
+    twin = beginning.twin_of(episode, robot, robot, interface, own.policy(policy))
     return own, twin, policy, episode
 
 

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from common import ROOT
 from lab import recipe
@@ -84,6 +85,14 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
 
 
+@pytest.mark.parametrize("words", [(), ("--actor",)])
+def test_a_policy_may_go_without_its_critic(made, tmp_path, words):
+    model = str(made[1] / "teacher" / "model.pt")
+    lab("lab.bundle", model, str(tmp_path / "policy"), "--task", "velocity_flat_teacher", *words)
+    (kept,) = (tmp_path / "policy").glob("model_*.pt")
+    assert ("critic_state_dict" in torch.load(kept, weights_only=True)) == (not words)
+
+
 @pytest.mark.parametrize("folder", sorted((ROOT / "lab" / "recipes").iterdir()), ids=lambda folder: folder.name)
 def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     """Stages name configs and tasks that load, robots of the library, and stages before them."""
@@ -92,7 +101,8 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     library = {entry["name"] for entry in _core.robots()}
     known, tasks = set(bundled.NAMES), {}
     for stage in plan.stages:
-        task = config.load(str(folder / stage.config)).run.task
+        file = folder / stage.config
+        task = config.load(str(file) if file.is_file() else stage.config).run.task
         robots = plan.robots([name for name in stage.robots if not name.startswith("@drawn.")], tmp_path)
         assert set(robots) <= library, stage.name
         changes = tuple(change for change in stage.changes if not change.startswith("train."))

@@ -204,6 +204,29 @@ def test_both_learners_train_and_resume_exactly(tmp_path, learner):
                     assert tensor.equal(other[kind][name]), (kind, name)
 
 
+def test_a_train_config_changes_options_of_the_training_alone(tmp_path, monkeypatch):
+    seen = []
+    make_env = polypod.make
+
+    def noted(*words, **more):
+        env = make_env(*words, **more)
+        seen.append(dict(env.sim.terms.options))
+        return env
+
+    monkeypatch.setattr(polypod, "make", noted)
+    mine = tmp_path / "mine.toml"
+    narrow = "motions.rewards.motion_relative_body_position_error_exp.std=0.05"
+    mine.write_text(f'extends = "tracking"\n[run]\ntask_changes = ["{narrow}"]\n')
+    line = (*LINE, "--train-config", str(mine), "--max-iterations", "1", "--log-dir", str(tmp_path))
+    assert main(line) == 0
+    of_training = seen[0]["rewards"]["motion_relative_body_position_error_exp"]["std"]
+    run = run_dir.find_checkpoint(tmp_path, "latest").parent
+    of_run = json.loads((run / "manifest.json").read_text())["motions"]
+    assert (of_training, of_run["rewards"]["motion_relative_body_position_error_exp"]["std"]) == (0.05, 0.15)
+    mine.write_text('extends = "tracking"\n[run]\ntask_changes = ["motions.look_ahead=[1]"]\n')
+    assert main(line) == 2
+
+
 def test_a_run_is_evaluated_and_exported_by_its_manifest_alone(tmp_path, capsys):
     assert main([*LINE, "--max-iterations", "1", "--log-dir", str(tmp_path)]) == 0
     checkpoint = str(run_dir.find_checkpoint(tmp_path, "latest"))

@@ -1,0 +1,164 @@
+"""Getting up in MuJoCo and in polypod, from the same poses.
+
+For tasks whose rewards have `upright` and `torso_height`. Links of a robot pass through each other
+in MuJoCo.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from polypod import _core
+from polypod.accuracy import reference
+from polypod.compat import tomllib
+from polypod.evaluation import Policy, rising
+from polypod.evaluation.results import finite
+from polypod.evaluation.rising import Goal, Rising
+from polypod.export import onnx_graph
+from polypod.export.robot import interfaces
+from polypod.export.runtime import OnnxPolicy
+from polypod.networks.policies import reset
+from polypod.policy import load
+from polypod.provenance import Measured, measured
+from polypod.python_terms import Terms
+from polypod.runs.own_terms import terms_of_run
+from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
+from polypod.sim2sim.run import Progress, command_line
+from polypod.sim2sim.twin import Physics, Twin
+
+
+@dataclasses.dataclass(frozen=True)
+class BothRising:
+    """How well one robot gets up in both simulators."""
+
+    polypod: Rising
+    mujoco: Rising
+
+    @property
+    def transfers(self) -> bool:
+        """Whether it gets up in MuJoCo in `rising.ENOUGH` of the episodes."""
+        return self.mujoco.rate >= rising.ENOUGH
+
+
+@dataclasses.dataclass(frozen=True)
+class RisingComparison:
+    """All robots, and what they were measured on."""
+
+    command: str
+    """The command line that compares the same again."""
+    task: str
+    envs_per_robot: int
+    seed: int
+    duration_s: float
+    mujoco_version: str
+    physics: Physics
+    robots: dict[str, BothRising]
+    measured: Measured
+
+    @property
+    def transfers(self) -> bool:
+        """Whether all robots do."""
+        return all(robot.transfers for robot in self.robots.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        robots = {
+            name: {**dataclasses.asdict(robot), "transfers": robot.transfers} for name, robot in self.robots.items()
+        }
+        content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
+        return content
+
+
+class Poses(Beginning):
+    """Poses from which both simulators let robots get up."""
+
+    always_illegal: tuple[str, ...] = ()
+
+    def __init__(
+        self, manifest: dict[str, Any], sources: list[str], options: Options, terms: Terms | None = None
+    ) -> None:
+        """Draws the poses; `terms` are the run's. Raises ConfigError where nothing is to get up."""
+        super().__init__(manifest, sources, options, terms)
+        self.goals: Mapping[str, Goal] = rising.goals(self.sim, tomllib.loads(self.sim.resolved_config()))
+        if missing := [name for name in self.sim.robots if name not in self.goals]:
+            raise _core.ConfigError(
+                f"{self.sim.task_name}: {missing[0]} is not rewarded for `upright` and `torso_height`; sim2sim cannot "
+                "say whether it gets up"
+            )
+        if "base_contact" in self.terminations:
+            self.always_illegal = Beginning.always_illegal
+
+
+def compare(
+    checkpoint: Path, robots: Sequence[str] | None, options: Options, progress: Progress = lambda *_: None
+) -> RisingComparison:
+    """Lets the policy of a checkpoint get up in both simulators.
+
+    Args and errors are those of `polypod.sim2sim.compare`.
+    """
+    loaded = load(checkpoint, robots=robots)
+    manifest = loaded.manifest
+    sources = list(manifest["robot_sources"] if robots is None else robots)
+    poses = Poses(manifest, sources, options, terms_of_run(manifest, options.terms, str(checkpoint)))
+    known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
+    twins, policies = {}, {}
+    for source, (name, interface) in zip(sources, known.items(), strict=True):
+        check_steps(poses.physics, poses.step_dt, name)
+        graph = onnx_graph.robot_model(loaded.network, interface, {})
+        policies[name] = OnnxPolicy(graph.SerializeToString())
+        twins[name] = twin_of(poses, name, source, interface, policies[name])
+    when = measured()
+    ours = _in_polypod(poses, loaded.runner(), progress)
+    theirs = {name: _in_mujoco(poses, name, twin, policies[name], progress) for name, twin in twins.items()}
+    return RisingComparison(
+        command=command_line(checkpoint, robots, options),
+        task=poses.sim.task_name,
+        envs_per_robot=options.envs_per_robot,
+        seed=options.seed,
+        duration_s=poses.steps * poses.step_dt,
+        mujoco_version=reference.version(),
+        physics=poses.physics,
+        robots={name: BothRising(ours[name], theirs[name]) for name in known},
+        measured=when,
+    )
+
+
+def _in_polypod(poses: Poses, policy: Policy, progress: Progress) -> dict[str, Rising]:
+    sim = poses.sim
+    record = rising.Record(sim, poses.goals)
+    running = np.ones(sim.num_envs, dtype=np.bool_)
+    reset(policy)
+    for step in range(poses.steps):
+        sim.step(np.where(running[:, np.newaxis], policy(sim.observation), np.float32(0.0)))
+        running &= ~sim.terminated
+        record.add(running)
+        progress("polypod", step + 1, poses.steps)
+    found = record.episodes()
+    return {name: _figures(found, slice(*sim.env_ids(name))) for name in sim.robots}
+
+
+def _in_mujoco(poses: Poses, name: str, twin: Twin, policy: OnnxPolicy, progress: Progress) -> Rising:
+    goal, terms = poses.goals[name], poses.own_terms(name)
+    if terms is not None:
+        twin.policy = terms.policy(policy)
+    twin.reset(*poses.start[name])
+    if terms is not None:
+        terms.begin(twin)
+    step_by = twin.step if terms is None else functools.partial(terms.step, twin)
+    uptime = rising.Uptime(twin.num_envs, poses.step_dt)
+    running: npt.NDArray[np.bool_] = np.ones(twin.num_envs, dtype=np.bool_)
+    no_command = np.zeros((twin.num_envs, 3), dtype=np.float32)
+    for step in range(poses.steps):
+        running &= ~step_by(no_command, running.copy()).fell
+        uptime.add(running & rising.is_up(goal, twin.projected_gravity(), twin.base_height()))
+        progress(name, step + 1, poses.steps)
+    return _figures(uptime.episodes(), slice(None))
+
+
+def _figures(found: Mapping[str, npt.NDArray[np.float64]], envs: slice) -> Rising:
+    return rising.rising(**{key: values[envs] for key, values in found.items()})

@@ -1,0 +1,100 @@
+"""The policies in examples/policies do what the pages say of them."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from common import ROOT
+from polypod import _core
+from polypod.compat import tomllib
+from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
+from polypod.policy import load
+from polypod.runs import run_dir
+from polypod.sim2sim import beginning, on_rising
+
+FOLDER = ROOT / "examples" / "policies"
+ALL = sorted(path.parent for path in FOLDER.glob("*/manifest.json"))
+
+
+def model(name):
+    (found,) = (FOLDER / name).glob("model_*.pt")
+    return found
+
+
+@pytest.mark.parametrize("folder", ALL, ids=lambda folder: folder.name)
+def test_they_hold_an_actor_and_nothing_of_the_machine(folder):
+    state = torch.load(model(folder.name), weights_only=True)
+    assert state.keys() == {"actor_state_dict", "iter", "infos"}
+    manifest = json.loads((folder / run_dir.MANIFEST).read_text(encoding="utf-8"))
+    assert "/tmp" not in json.dumps(manifest)
+    assert "/work" not in json.dumps(manifest)
+    assert manifest["overrides"] == []
+    assert (ROOT / "lab" / "recipes" / "skills").name in manifest["command"]
+
+
+@pytest.mark.parametrize("name", ["getup", "getup_g1", "hind_legs"])
+def test_robots_get_up(name):
+    found = evaluate_checkpoint(model(name), num_envs=128, threads=2)
+    for robot, result in found.robots.items():
+        assert result.rising.rate >= rising.ENOUGH, robot
+
+
+@pytest.mark.parametrize("name", ["getup", "getup_g1"])
+def test_robots_get_up_from_where_they_lie(name):
+    """The tasks drop robots; here they first lie for two seconds, in the joint angles drawn."""
+    policy = load(model(name))
+    manifest = policy.manifest
+    robots, slots = manifest["robots"], manifest["canonical_joint_names"]
+    changes = ["sim.episode_length_s=20.0", "observations.enable_noise=false"]
+    sim = _core.VecSim(
+        play_task(manifest["task"]),
+        128,
+        robots=robots,
+        seed=3,
+        threads=2,
+        overrides=changes,
+        autoreset="disabled",
+        slots=slots,
+    )
+    goals = rising.goals(sim, tomllib.loads(sim.resolved_config()))
+    infos = json.loads(sim.robot_info())
+    hold = sim.state("joint_pos") - sim.state("default_joint_pos")
+    for robot in robots:
+        hold[slice(*sim.env_ids(robot))] /= infos[robot]["action_scale"]
+    for _ in range(100):
+        sim.step(hold)
+    lying = rising.Record(sim, goals)
+    lying.add(np.ones(128, dtype=np.bool_))
+    assert lying.episodes()["held"].max() == 0.0, "all lie"
+    record, run = rising.Record(sim, goals), policy.runner()
+    for _ in range(300):
+        sim.step(run(sim.observation))
+        record.add(np.ones(128, dtype=np.bool_))
+    for robot in robots:
+        mine = {key: values[slice(*sim.env_ids(robot))] for key, values in record.episodes().items()}
+        assert rising.rising(**mine).rate >= rising.ENOUGH, robot
+
+
+def test_go1_stands_on_its_hind_legs_for_ten_seconds():
+    found = evaluate_checkpoint(model("hind_legs"), num_envs=128, threads=2, overrides=["sim.episode_length_s=14.0"])
+    assert found.robots["unitree_go1"].rising.least_held_s >= 10.0
+
+
+def test_robots_get_up_in_mujoco():
+    found = on_rising.compare(model("getup"), None, beginning.Options(16))
+    assert found.transfers
+
+
+@pytest.mark.parametrize(
+    ("name", "robots"), [("tracking_g1", ["unitree_g1"]), ("tracking", ["unitree_g1", "booster_t1"])]
+)
+def test_humanoids_track_the_drawn_motions(name, robots):
+    """The policy of three does not follow all motions with H1."""
+    found = tracking.measure_checkpoint(model(name), robots, episodes=16, threads=2)
+    assert sorted(found) == sorted(robots)
+    for robot, clips in found.items():
+        assert sorted(clips) == ["squat", "turn", "walk", "wave"]
+        for clip, result in clips.items():
+            assert result.followed >= tracking.SHARE, (robot, clip)
