@@ -29,7 +29,8 @@ pub use polypod_cuda::search_packages;
 pub fn describe_card() -> String {
     match polypod_cuda::find() {
         Ok(Found { name, driver, memory }) => format!(
-            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda",
+            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and with \
+             physics.engine=auto where it is faster than the CPU",
             memory >> 30,
             driver / 1000,
             driver % 1000 / 10
