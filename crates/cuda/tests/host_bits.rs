@@ -144,7 +144,9 @@ fn compare(
 #[test]
 fn of_all_robots_on_a_plane() {
     let (mut limits, mut pairs) = (0, 0);
-    for robot in library(true) {
+    let robots = library(true);
+    assert!(WITH_OWN_TEXT.iter().all(|name| robots.iter().any(|robot| robot.name == *name)));
+    for robot in robots {
         let met = compare(&robot, ContactSettings::default(), None, &[], 50);
         assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
         limits += usize::from(met.limits > 0);
