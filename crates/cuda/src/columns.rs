@@ -177,7 +177,7 @@ impl<'a> Columns<'a> {
     /// processor foresees lines that are read in their order, and not those of a robot's numbers.
     #[inline]
     pub fn foresee(&self, robot: usize, writes: bool) {
-        if robot % TILE != 0 {
+        if !robot.is_multiple_of(TILE) {
             return;
         }
         let (outer, size) = if writes {

@@ -61,14 +61,17 @@ fn candidates() -> Vec<PathBuf> {
     found
 }
 
-fn open() -> Option<Library> {
+/// The library. It stays loaded, for threads that compile end at any time.
+fn library() -> Option<&'static Library> {
+    static LIBRARY: OnceLock<Option<Library>> = OnceLock::new();
     // SAFETY: the library has no initialisers that depend on this process
-    candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok())
+    let open = || candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok());
+    LIBRARY.get_or_init(open).as_ref()
 }
 
 /// Whether the library is there.
 pub fn is_present() -> bool {
-    open().is_some()
+    library().is_some()
 }
 
 type Program = *mut c_void;
@@ -133,8 +136,8 @@ pub fn compile(header: Option<&str>) -> Result<String, DeviceError> {
 }
 
 fn compile_text(header: Option<&str>) -> Result<String, DeviceError> {
-    let library = open().ok_or(DeviceError::NoCompiler)?;
-    let mut compilation = Compilation { library: &library, program: std::ptr::null_mut() };
+    let library = library().ok_or(DeviceError::NoCompiler)?;
+    let mut compilation = Compilation { library, program: std::ptr::null_mut() };
     let texts = DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header)));
     let (mut names, mut contents) = (Vec::new(), Vec::new());
     for (name, text) in texts {

@@ -188,7 +188,8 @@ impl DeviceEngine {
     fn takes_device(&mut self) -> bool {
         let Self { placed: Some(placed), trial, .. } = self else { return false };
         let Some(of_both) = trial else { return true };
-        if !placed.robots.iter_mut().all(Robots::is_ready) {
+        // asking begins the preparations of all, side by side
+        if placed.robots.iter_mut().map(Robots::is_ready).filter(|ready| !ready).count() > 0 {
             return false;
         }
         let turn = of_both.next(Instant::now());

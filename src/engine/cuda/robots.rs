@@ -15,9 +15,9 @@ use crate::dynamics::{ActuatorNetwork, Parameters, StepSettings, Topology};
 use crate::morphology::MorphologyModel;
 use crate::workers::{SplitRows, Workers};
 
-/// Contacts that lists of impulses have room for at first: those of a quadruped that moves. Room that
+/// Contacts that lists of impulses have room for at first: those of a standing quadruped. Room that
 /// robots do not use is transferred too.
-const FIRST_CAPACITY: usize = 8;
+const FIRST_CAPACITY: usize = 4;
 /// Fewest tiles that a thread copies at a time.
 const MIN_TILES: usize = 2;
 

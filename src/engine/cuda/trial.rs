@@ -31,7 +31,7 @@ pub(super) struct Trial {
 impl Trial {
     /// Whose turn it is. A trial begins once the device is ready; each call is a step.
     pub(super) fn next(&mut self, now: Instant) -> Turn {
-        let turn = |step: usize| if step / TURN % 2 == 0 { Turn::Cpu } else { Turn::Device };
+        let turn = |step: usize| if (step / TURN).is_multiple_of(2) { Turn::Cpu } else { Turn::Device };
         if let (Some(begun), Some(last)) = (self.begun, self.steps.checked_sub(1))
             && last % TURN >= NOT_TIMED
         {
