@@ -27,18 +27,21 @@ fn constants(header: &str) -> Option<String> {
     let mut known = BTreeMap::new();
     let mut out = String::new();
     for part in text.split("enum ").skip(1) {
-        let (_, body) = part.split_once('{')?;
+        let (name, body) = part.split_once('{')?;
         let (body, _) = body.split_once('}')?;
         let mut next = 0;
+        let mut all = String::new();
         for enumerator in body.split(',').map(str::trim).filter(|text| !text.is_empty()) {
             let (name, number) = match enumerator.split_once('=') {
                 Some((name, expression)) => (name.trim(), value(expression, &known)?),
                 None => (enumerator, next),
             };
             writeln!(out, "pub(crate) const {name}: usize = {number};").ok()?;
+            write!(all, "(\"{name}\", {number}), ").ok()?;
             known.insert(name.to_owned(), number);
             next = number + 1;
         }
+        writeln!(out, "pub(crate) const {}_PLACES: &[(&str, usize)] = &[{all}];", name.trim().to_uppercase()).ok()?;
     }
     Some(out)
 }

@@ -126,8 +126,8 @@ pub const AVIAN_SUBSTEPS: usize = 8;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhysicsConfig {
-    /// Name of the engine: `articulated`, `cuda`, `avian`, or one that a plugin has added. Default:
-    /// articulated.
+    /// Name of the engine: `articulated`, `cuda`, `auto` (the faster of these two), `avian`, or one
+    /// that a plugin has added. Default: articulated.
     pub engine: String,
     /// Sweeps of the articulated engine's solver over the contacts of one physics step. Default: 4.
     #[serde(deserialize_with = "values::count_up_to::<MAX_SWEEPS, _>")]

@@ -119,7 +119,8 @@ impl Default for Engines {
         let mut engines = Self(BTreeMap::new());
         engines.add("articulated", Articulated);
         engines.add("avian", Avian);
-        engines.add("cuda", OnDevice::card());
+        engines.add("cuda", OnDevice::new(OnDevice::open_card));
+        engines.add("auto", OnDevice::if_faster(OnDevice::open_card));
         engines
     }
 }

@@ -56,15 +56,19 @@ impl DeviceBlock for FailingBlock {
     }
 }
 
-fn sim_on(
-    mut options: SimOptions,
-    open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static,
-) -> Result<Sim, Error> {
-    options.overrides.push("physics.engine=cuda".into());
+fn sim_with(mut options: SimOptions, name: &'static str, engine: OnDevice) -> Result<Sim, Error> {
+    options.overrides.push(format!("physics.engine={name}"));
     let mut app = App::empty();
     app.insert_resource(options).add_plugins(PolypodPlugins);
-    add_engine(&mut app, "cuda", OnDevice::new(open));
+    add_engine(&mut app, name, engine);
     Sim::from_app(app)
+}
+
+fn sim_on(
+    options: SimOptions,
+    open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static,
+) -> Result<Sim, Error> {
+    sim_with(options, "cuda", OnDevice::new(open))
 }
 
 fn on_host(options: SimOptions) -> Sim {
@@ -203,6 +207,35 @@ fn a_card_that_is_lost_costs_no_step() {
         assert_all_same(&mut cpu, &mut lost, &format!("step {t}"));
     }
     assert!(cpu.snapshot().unwrap() == lost.snapshot().unwrap());
+}
+
+#[test]
+fn engines_that_take_turns_make_the_steps_of_one() {
+    let options = busy(&["unitree_a1", "spot"], 36);
+    let mut cpu = Sim::new(&options).unwrap();
+    // two blocks a step: what is left says how many steps the device made
+    let left = Arc::new(AtomicUsize::new(1000));
+    let device = left.clone();
+    let open = move || -> Result<Arc<dyn Device>, DeviceError> { Ok(Arc::new(Failing { left: device.clone() })) };
+    let mut both = sim_with(options.clone(), "auto", OnDevice::if_faster(open)).unwrap();
+    let no_card = || Err(DeviceError::NoDriver);
+    let mut without = sim_with(options, "auto", OnDevice::if_faster(no_card)).unwrap();
+    for t in 0..80 {
+        for sim in [&mut cpu, &mut both, &mut without] {
+            step(sim, t);
+        }
+        assert_all_same(&mut cpu, &mut both, &format!("step {t}"));
+        let made = (1000 - left.load(Ordering::Relaxed)) / 2;
+        match t {
+            0..12 => assert_eq!(made, 0),
+            12..24 => assert_eq!(made, t - 11),
+            24..36 => assert_eq!(made, 12),
+            72.. => assert!(made == 36 || made == 36 + t - 71, "{made} steps"),
+            _ => {}
+        }
+    }
+    let expected = cpu.snapshot().unwrap();
+    assert!(expected == both.snapshot().unwrap() && expected == without.snapshot().unwrap());
 }
 
 #[test]

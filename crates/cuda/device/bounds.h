@@ -42,12 +42,12 @@ FN void set_limits(Robot *a, int j, int row, int near, float inverse_dt) {
  * velocities without constraints are in W_RHS. */
 FN void build_joint_bounds(Robot *a) {
     float dt = TC(DT), inverse_dt = 1.0f / dt;
-    for (int b = 0; b < T(BLOCKS); b++) {
-        int block = BLOCK_AT(b), len = T(block + 3), limits = 0, active = 0, bound = BOUND(b);
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+        int block = BLOCK_AT(b), len = L(block + 3), limits = 0, active = 0, bound = BOUND(b);
         for (int place = 0; place < BLOCK; place++) {
             int near = 0, friction = 0;
             if (place < len) {
-                int j = T(block + place);
+                int j = L(block + place);
                 near = near_limits(a, j, W(T(W_RHS) + 3 * b + place));
                 friction = 0.0f < P(T(P_JOINT_FRICTION) + j);
             }
@@ -62,7 +62,7 @@ FN void build_joint_bounds(Robot *a) {
         for (int place = 0; place < BLOCK; place++) {
             int row = BOUND_ROW(b, place);
             if (place < len) {
-                int j = T(block + place);
+                int j = L(block + place);
                 float most = P(T(P_JOINT_FRICTION) + j) * dt;
                 W(row + MAX_FRICTION) = most;
                 /* friction takes as much of the stored impulse as it can */
@@ -74,9 +74,11 @@ FN void build_joint_bounds(Robot *a) {
                 W(row + HIGHEST) = -NO_TARGET;
             }
         }
-        float product[6], inverse[3];
-        half_solve_units(a, bound, BOUND_PARTS(b), BOUND_PATH(b));
-        products(a, bound, BOUND_PARTS(b), BOUND_PATH(b), 1, product);
+        float base[18], own[9], product[6], inverse[3];
+        half_solve_units(a, base, own, BOUND_PARTS(b), BOUND_PATH(b));
+        products(a, base, own, BOUND_PARTS(b), BOUND_PATH(b), 1, product);
+        w_store(a, bound, 18, base);
+        w_store(a, bound + ROW_OWN, 9, own);
         for (int i = 0; i < BLOCK; i++) {
             inverse[i] = 1.0f / product[i];
             W(BOUND_ROW(b, i) + DIAGONAL) = product[i];

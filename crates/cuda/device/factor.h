@@ -4,26 +4,24 @@
 #include "tables.h"
 
 /* The mass matrix's row of the joint at a place of a block, from the composite inertia of its link. */
-FN void set_joint(Robot *a, int b, int place, int inertia_at, float armature) {
-    int block = BLOCK_AT(b), own = FACTOR(b), carriers = T(block + 4);
-    float inertia[10], axis[6], force[6];
-    w_load(a, inertia_at, 10, inertia);
-    w_load(a, LINK(T(block + place) + 1) + LINK_AXIS, 6, axis);
-    momentum(inertia, axis, force);
-    W(own + place) = dot6(axis, force) + armature;
+FN void set_joint(Robot *a, int b, int place, const float *inertia, const float *own_axis, float armature) {
+    int block = BLOCK_AT(b), own = FACTOR(b), carriers = L(block + 4);
+    float axis[6], force[6];
+    momentum(inertia, own_axis, force);
+    W(own + place) = dot6(own_axis, force) + armature;
     for (int t = 0; t < place; t++) {
-        w_load(a, LINK(T(block + t) + 1) + LINK_AXIS, 6, axis);
+        w_load(a, LINK(L(block + t) + 1) + LINK_AXIS, 6, axis);
         W(own + FACTOR_INNER + place + t - 1) = dot6(axis, force);
     }
-    for (int c = 0; c < carriers; c++) {
-        int carrier = T(block + 5) + c * CARRIER_SIZE, joints = BLOCK_AT(T(carrier));
+    ROLLED for (int c = 0; c < carriers; c++) {
+        int carrier = L(block + 5) + c * CARRIER_SIZE, joints = BLOCK_AT(L(carrier));
         for (int t = 0; t < BLOCK; t++) {
             float x = 0.0f;
-            if (t < T(carrier + 1)) {
-                w_load(a, LINK(T(joints + t) + 1) + LINK_AXIS, 6, axis);
+            if (t < L(carrier + 1)) {
+                w_load(a, LINK(L(joints + t) + 1) + LINK_AXIS, 6, axis);
                 x = dot6(axis, force);
             }
-            W(COUPLING(T(block + 6) + c) + 3 * place + t) = x;
+            W(COUPLING(L(block + 6) + c) + 3 * place + t) = x;
         }
     }
     for (int r = 0; r < 6; r++) W(own + FACTOR_BASE + 6 * place + r) = T(FLOATING) ? force[r] : 0.0f;
@@ -32,12 +30,12 @@ FN void set_joint(Robot *a, int b, int place, int inertia_at, float armature) {
 /* The rows of the joints that a block does not have. */
 FN void set_empty_places(Robot *a, int b) {
     int block = BLOCK_AT(b), own = FACTOR(b);
-    for (int place = T(block + 3); place < BLOCK; place++) {
+    ROLLED for (int place = L(block + 3); place < BLOCK; place++) {
         W(own + place) = 1.0f;
         for (int t = 0; t < place; t++) W(own + FACTOR_INNER + place + t - 1) = 0.0f;
         for (int r = 0; r < 6; r++) W(own + FACTOR_BASE + 6 * place + r) = 0.0f;
-        for (int c = 0; c < T(block + 4); c++)
-            for (int t = 0; t < BLOCK; t++) W(COUPLING(T(block + 6) + c) + 3 * place + t) = 0.0f;
+        ROLLED for (int c = 0; c < L(block + 4); c++)
+            for (int t = 0; t < BLOCK; t++) W(COUPLING(L(block + 6) + c) + 3 * place + t) = 0.0f;
     }
 }
 
@@ -69,8 +67,8 @@ FN float split(float pivot, float *root) {
 /* Turns the mass matrix held in place into its factors. */
 FN void factorise(Robot *a) {
     float *g = a->g;
-    for (int b = T(BLOCKS) - 1; b >= 0; b--) {
-        int block = BLOCK_AT(b), own = FACTOR(b), carriers = T(block + 4), first = T(block + 6);
+    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
+        int block = BLOCK_AT(b), own = FACTOR(b), carriers = L(block + 4), first = L(block + 6);
         float d[3], m[3], root[6], base[18];
         w_load(a, own, 3, d);
         w_load(a, own + FACTOR_INNER, 3, m);
@@ -92,7 +90,7 @@ FN void factorise(Robot *a) {
             base[r] = nfma(l10, b1, b0);
             base[6 + r] = b1;
         }
-        for (int k = 0; k < carriers; k++) {
+        ROLLED for (int k = 0; k < carriers; k++) {
             int c = COUPLING(first + k);
             for (int t = 0; t < BLOCK; t++) {
                 float c1 = nfma(l21, W(c + 6 + t), W(c + 3 + t));
@@ -101,8 +99,8 @@ FN void factorise(Robot *a) {
                 W(c + 3 + t) = c1;
             }
         }
-        for (int p = 0; p < carriers; p++) {
-            int carrier = T(T(block + 5) + p * CARRIER_SIZE), on = FACTOR(carrier);
+        ROLLED for (int p = 0; p < carriers; p++) {
+            int carrier = L(L(block + 5) + p * CARRIER_SIZE), on = FACTOR(carrier);
             float nearest[9], l[9];
             w_load(a, COUPLING(first + p), 9, nearest);
             for (int k = 0; k < 9; k++) l[k] = nearest[k] * inverse[k / 3];
@@ -119,8 +117,8 @@ FN void factorise(Robot *a) {
                     }
                 }
             }
-            int others = T(BLOCK_AT(carrier) + 6);
-            for (int k = p + 1; k < carriers; k++) {
+            int others = L(BLOCK_AT(carrier) + 6);
+            ROLLED for (int k = p + 1; k < carriers; k++) {
                 int c = COUPLING(first + k), to = COUPLING(others + k - p - 1);
                 for (int s = 0; s < BLOCK; s++)
                     for (int t = 0; t < BLOCK; t++)
@@ -161,12 +159,12 @@ FN void base_forward(const Robot *a, float *b) {
 
 /* H^-T b: the half solve of a generalised force; `joints` are columns, [blocks]. */
 FN void half_solve_force(Robot *a, float *base, int joints) {
-    for (int b = T(BLOCKS) - 1; b >= 0; b--) {
+    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
         int block = BLOCK_AT(b), own = FACTOR(b), x = joints + 3 * b;
         float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
         float x2 = W(x + 2), x1 = nfma(l21, x2, W(x + 1)), x0 = nfma(l10, x1, nfma(l20, x2, W(x)));
-        for (int c = 0; c < T(block + 4); c++) {
-            int l = COUPLING(T(block + 6) + c), on = joints + 3 * T(T(block + 5) + c * CARRIER_SIZE);
+        ROLLED for (int c = 0; c < L(block + 4); c++) {
+            int l = COUPLING(L(block + 6) + c), on = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
             for (int t = 0; t < BLOCK; t++) {
                 float y = nfma(W(l + 6 + t), x2, W(on + t));
                 W(on + t) = nfma(W(l + t), x0, nfma(W(l + 3 + t), x1, y));
@@ -186,13 +184,13 @@ FN void half_solve_force(Robot *a, float *base, int joints) {
 
 /* H u: a velocity in the coordinates in which constraint rows are sparse. */
 FN void to_sparse(Robot *a, float *base, int joints) {
-    for (int b = T(BLOCKS) - 1; b >= 0; b--) {
+    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
         int block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
         float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
         float x0 = W(at), x1 = W(at + 1), x2 = W(at + 2);
         float x[3] = {x0, fma_(l10, x0, x1), fma_(l21, x1, fma_(l20, x0, x2))};
-        for (int c = 0; c < T(block + 4); c++) {
-            int l = COUPLING(T(block + 6) + c), from = joints + 3 * T(T(block + 5) + c * CARRIER_SIZE);
+        ROLLED for (int c = 0; c < L(block + 4); c++) {
+            int l = COUPLING(L(block + 6) + c), from = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
             for (int s = 0; s < BLOCK; s++)
                 for (int t = 0; t < BLOCK; t++) x[s] = fma_(W(l + 3 * s + t), W(from + t), x[s]);
         }
@@ -213,15 +211,15 @@ CALLED void to_dense(Robot *a, float *base, int joints) {
     if (T(FLOATING))
         for (int k = 5; k >= 0; k--)
             for (int r = k + 1; r < 6; r++) base[k] = nfma(a->g[6 * r + k], base[r], base[k]);
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
         float x[3];
         for (int s = 0; s < BLOCK; s++) {
             x[s] = W(at + s) * W(ROOT(b) + 2 * s + 1);
             for (int r = 0; r < 6; r++) x[s] = nfma(W(own + FACTOR_BASE + 6 * s + r), base[r], x[s]);
         }
-        for (int c = 0; c < T(block + 4); c++) {
-            int l = COUPLING(T(block + 6) + c), from = joints + 3 * T(T(block + 5) + c * CARRIER_SIZE);
+        ROLLED for (int c = 0; c < L(block + 4); c++) {
+            int l = COUPLING(L(block + 6) + c), from = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
             for (int s = 0; s < BLOCK; s++)
                 for (int t = 0; t < BLOCK; t++) x[s] = nfma(W(l + 3 * s + t), W(from + t), x[s]);
         }

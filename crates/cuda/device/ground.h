@@ -25,8 +25,8 @@ FN float separation(const Robot *a, float gap, float inverse_dt) {
 /* The lowest point of a candidate, in link axes; `up` is the world's up in link axes. */
 FN void candidate_point(const Robot *a, int contact, const float *up, float *o) {
     p_load(a, T(P_CONTACT_POSITION) + 3 * contact, 3, o);
-    if (!T(T(T_CONTACT) + contact * CONTACT_SIZE + 2)) return;
-    const float *e = a->c + T(C_RIM) + contact * RIM_SIZE;
+    if (!L(T(T_CONTACT) + contact * CONTACT_SIZE + 2)) return;
+    const float *e = C(T(C_RIM) + contact * RIM_SIZE);
     float c = -dot(e, up), s = -dot(e + 3, up);
     float length = sqrtf(fma_(c, c, s * s));
     /* an upright cylinder has no lowest rim point: take fixed ones */
@@ -43,13 +43,15 @@ FN void candidate_point(const Robot *a, int contact, const float *up, float *o) 
 /* Torsional and rolling friction of the contact that was added last. */
 CALLED void add_spin(Robot *a, int contact, const float *frame) {
     int i = a->num_spins, spin = SPIN(i), path = ROW_PATH(a->num_contacts - 1);
-    float product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
+    float base[18], own[9], product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     for (int d = 0; d < 3; d++) {
-        w_store(a, spin + 6 * d, 3, frame + 3 * d);
-        for (int k = 3; k < 6; k++) W(spin + 6 * d + k) = 0.0f;
+        copy(base + 6 * d, frame + 3 * d, 3);
+        set3(base + 6 * d + 3, 0.0f, 0.0f, 0.0f);
     }
-    build_rows(a, path, spin, SPIN_PARTS(i));
-    products(a, spin, SPIN_PARTS(i), path, 0, product);
+    build_rows(a, path, base, own, SPIN_PARTS(i));
+    products(a, base, own, SPIN_PARTS(i), path, 0, product);
+    w_store(a, spin, 18, base);
+    w_store(a, spin + ROW_OWN, 9, own);
     float difference = (product[1] - product[2]) * 0.5f;
     float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
     w_store(a, spin + ROW_COUPLING, 3, product + 3);
@@ -59,20 +61,19 @@ CALLED void add_spin(Robot *a, int contact, const float *frame) {
     a->num_spins += 1;
 }
 
-/* Finds the contacts near the ground and builds their rows. `free_base` is the velocity that the base
- * would have without constraints, in base axes about its origin. */
-FN void build_ground_contacts(Robot *a, const float *free_base) {
-    float margin = TC(GROUND_MARGIN), inverse_dt = 1.0f / TC(DT), position[3], frame[9];
-    a->num_contacts = a->num_spins = 0;
-    a->violation = 0.0f;
-    /* the base's inertia is composite: the whole robot's */
-    a->compliance = 1.0f / W(T(W_DYNAMICS) + DYNAMICS_INERTIA);
-    if (!T(HAS_GROUND)) return;
+/* Where a contact that was found is kept until its rows are built: in the memory of its rows. */
+enum Found { FOUND_POINT, FOUND_NORMAL = FOUND_POINT + 3, FOUND_GAP = FOUND_NORMAL + 3 };
+
+/* Finds the contacts near the ground. `free_base` is the velocity that the base would have without
+ * constraints, in base axes about its origin; `frame` the axes of a level plane. Returns their
+ * number. */
+FN int find_ground_contacts(Robot *a, const float *free_base, const float *frame) {
+    float margin = TC(GROUND_MARGIN), position[3];
+    int found = 0;
     s_load(a, T(S_POSITION), 3, position);
-    float ground = dot(a->c + PLANE, position) - TC(PLANE_OFFSET);
-    for (int d = 0; d < 3; d++) mul_vec_transposed(a->base_rotation, a->c + PLANE + 3 * d, frame + 3 * d);
-    for (int link = 0; link <= T(JOINTS); link++) {
-        int first = T(T(T_LINK_CONTACTS) + link), end = T(T(T_LINK_CONTACTS) + link + 1);
+    float ground = dot(C(PLANE), position) - TC(PLANE_OFFSET);
+    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
+        int first = L(T(T_LINK_CONTACTS) + link), end = L(T(T_LINK_CONTACTS) + link + 1);
         if (first == end) continue;
         float r[9], x[3], box[6], up[3];
         w_load(a, LINK(link), 9, r);
@@ -91,7 +92,7 @@ FN void build_ground_contacts(Robot *a, const float *free_base) {
         }
         float below = fma_(box[3], fabsf(up[0]), fma_(box[4], fabsf(up[1]), box[5] * fabsf(up[2])));
         if (!(origin_height + dot(up, box) - below < highest)) continue;
-        for (int c = first; c < end; c++) {
+        ROLLED for (int c = first; c < end; c++) {
             float radius = P(T(P_CONTACT_RADIUS) + c), local[3], centre[3];
             float reach = radius + P(T(P_CONTACT_RIM) + c);
             p_load(a, T(P_CONTACT_POSITION) + 3 * c, 3, local);
@@ -123,27 +124,51 @@ FN void build_ground_contacts(Robot *a, const float *free_base) {
             at_point(moving, centre, v);
             float free = dot(axes, v);
             if (!(gap < min_(reach_in_step(a, TC(GROUND_REACH), now, free), margin))) continue;
-            int i = a->num_contacts, row = ROW(i);
+            int row = ROW(found);
             float point[3];
             scale(axes, radius, point);
             sub(centre, point, point);
-            ROW_CONTACT(i) = c;
-            ROW_PATH(i) = link;
-            ROW_PAIR(i) = -1;
-            set_directions(a, row, point, axes);
-            w_store(a, row + ROW_FRAME, 9, axes);
-            build_rows(a, link, row, ROW_PARTS(i));
-            finish_rows(a, TC(GROUND_COMPLIANCE));
-            float bounce = NO_TARGET, restitution = P(T(P_RESTITUTION));
-            if (0.0f < restitution) {
-                /* the sparse velocity is that before the step */
-                float approach = first_velocity(a, row, ROW_PARTS(i), link, a->y, T(W_JOINTS));
-                int bounces = (approach < TC(BOUNCE_SPEED)) & (gap < -(approach * TC(DT)));
-                if (bounces) bounce = -(approach * restitution);
-            }
-            add_contact(a, c, separation(a, gap, inverse_dt), bounce);
-            if (T(FRICTION)) add_spin(a, c, axes);
+            ROW_CONTACT(found) = c;
+            ROW_PATH(found) = link;
+            ROW_PAIR(found) = -1;
+            w_store(a, row + FOUND_POINT, 3, point);
+            W(row + FOUND_GAP) = gap;
+            if (T(HAS_GRID)) w_store(a, row + ROW_FRAME, 9, axes);
+            found++;
         }
+    }
+    return found;
+}
+
+/* Finds the contacts near the ground and builds their rows, after the search, in which the robots of
+ * a warp find theirs at different times. */
+FN void build_ground_contacts(Robot *a, const float *free_base) {
+    float inverse_dt = 1.0f / TC(DT), frame[9];
+    a->num_contacts = a->num_spins = 0;
+    a->violation = 0.0f;
+    /* the base's inertia is composite: the whole robot's */
+    a->compliance = 1.0f / W(T(W_DYNAMICS) + DYNAMICS_INERTIA);
+    if (!T(HAS_GROUND)) return;
+    for (int d = 0; d < 3; d++) mul_vec_transposed(a->base_rotation, C(PLANE + 3 * d), frame + 3 * d);
+    int found = find_ground_contacts(a, free_base, frame);
+    ROLLED for (int i = 0; i < found; i++) {
+        int row = ROW(i), contact = ROW_CONTACT(i), path = ROW_PATH(i);
+        float point[3], axes[9], base[18], own[9], gap = W(row + FOUND_GAP);
+        w_load(a, row + FOUND_POINT, 3, point);
+        copy(axes, frame, 9);
+        if (T(HAS_GRID)) w_load(a, row + ROW_FRAME, 9, axes);
+        set_directions(point, axes, base);
+        build_rows(a, path, base, own, ROW_PARTS(i));
+        finish_rows(a, base, own, TC(GROUND_COMPLIANCE));
+        float bounce = NO_TARGET, restitution = P(T(P_RESTITUTION));
+        if (0.0f < restitution) {
+            /* the sparse velocity is that before the step */
+            float approach = first_velocity(a, row, ROW_PARTS(i), path, a->y, T(W_JOINTS));
+            int bounces = (approach < TC(BOUNCE_SPEED)) & (gap < -(approach * TC(DT)));
+            if (bounces) bounce = -(approach * restitution);
+        }
+        add_contact(a, contact, separation(a, gap, inverse_dt), bounce);
+        if (T(FRICTION)) add_spin(a, contact, axes);
     }
 }
 #endif

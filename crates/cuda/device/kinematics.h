@@ -18,8 +18,8 @@ FN void turned_about(float *r, float *axis, float sign, float angle, int x, int 
 
 /* Turns r about an axis of its own; the axis in the outer frame goes to `axis`. */
 FN void turned(const Robot *a, int j, float angle, float *r, float *axis) {
-    const float *u = a->c + T(C_AXIS) + j * AXIS_SIZE;
-    switch (T(T(T_JOINT) + j * JOINT_SIZE + 2)) {
+    const float *u = C(T(C_AXIS) + j * AXIS_SIZE);
+    switch (L(T(T_JOINT) + j * JOINT_SIZE + 2)) {
     case 0: turned_about(r, axis, u[3], angle, 0, 1, 2); return;
     case 1: turned_about(r, axis, u[3], angle, 1, 2, 0); return;
     case 2: turned_about(r, axis, u[3], angle, 2, 0, 1); return;
@@ -46,46 +46,55 @@ FN void place_base(Robot *a, const float *velocity) {
     w_store(a, LINK(0) + LINK_VELOCITY, 6, velocity);
 }
 
-/* Position, axis and velocity of the link that a joint moves, after those of its parent. */
-CALLED void place_link(Robot *a, int j) {
-    int parent = T(T(T_JOINT) + j * JOINT_SIZE), from = LINK(parent), to = LINK(j + 1);
-    float r[9], x[3], axis[6], offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
-    w_load(a, from, 9, r);
+/* Position, axis and velocity of the link that a joint moves. `r`, `x` and `v` are its parent's before
+ * and its own after. */
+CALLED void place_link(Robot *a, int j, float *r, float *x, float *v, float *axis) {
+    int parent = L(T(T_JOINT) + j * JOINT_SIZE), to = LINK(j + 1);
+    float offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
     p_load(a, T(P_OFFSET) + 3 * j, 3, offset);
     if (parent == 0) {
         copy(x, offset, 3);
     } else {
-        w_load(a, from + LINK_POSITION, 3, x);
         mul_vec(r, offset, t);
         add(x, t, x);
     }
-    if (T(T(T_JOINT) + j * JOINT_SIZE + 1)) {
-        mul_vec(r, a->c + T(C_AXIS) + j * AXIS_SIZE, axis + 3);
+    if (L(T(T_JOINT) + j * JOINT_SIZE + 1)) {
+        mul_vec(r, C(T(C_AXIS) + j * AXIS_SIZE), axis + 3);
         set3(axis, 0.0f, 0.0f, 0.0f);
         add_scaled(x, axis + 3, position, x);
     } else {
         turned(a, j, position, r, axis);
         cross(x, axis, axis + 3);
     }
+    for (int i = 0; i < 6; i++) v[i] = fma_(axis[i], velocity, v[i]);
     w_store(a, to, 9, r);
     w_store(a, to + LINK_POSITION, 3, x);
+    w_store(a, to + LINK_VELOCITY, 6, v);
     w_store(a, to + LINK_AXIS, 6, axis);
-    for (int i = 0; i < 6; i++)
-        W(to + LINK_VELOCITY + i) = fma_(axis[i], velocity, W(from + LINK_VELOCITY + i));
+}
+
+FN void load_link(const Robot *a, int link, float *r, float *x, float *v) {
+    w_load(a, LINK(link), 9, r);
+    w_load(a, LINK(link) + LINK_POSITION, 3, x);
+    w_load(a, LINK(link) + LINK_VELOCITY, 6, v);
 }
 
 FN void forward_kinematics(Robot *a, const float *base_velocity) {
     place_base(a, base_velocity);
-    for (int j = 0; j < T(JOINTS); j++) place_link(a, j);
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        float r[9], x[3], v[6], axis[6];
+        load_link(a, L(T(T_JOINT) + j * JOINT_SIZE), r, x, v);
+        place_link(a, j, r, x, v, axis);
+    }
 }
 
 /* Sets the links' free velocities to those that the joint velocities in W_RHS give them. */
 FN void free_links(Robot *a) {
     for (int i = 0; i < 6; i++) W(LINK(0) + LINK_FREE + i) = 0.0f;
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int block = BLOCK_AT(b);
-        for (int place = 0; place < T(block + 3); place++) {
-            int j = T(block + place), from = LINK(T(T(T_JOINT) + j * JOINT_SIZE)), to = LINK(j + 1);
+        ROLLED for (int place = 0; place < L(block + 3); place++) {
+            int j = L(block + place), from = LINK(L(T(T_JOINT) + j * JOINT_SIZE)), to = LINK(j + 1);
             float velocity = W(T(W_RHS) + 3 * b + place);
             for (int i = 0; i < 6; i++)
                 W(to + LINK_FREE + i) = fma_(W(to + LINK_AXIS + i), velocity, W(from + LINK_FREE + i));
@@ -113,7 +122,7 @@ CALLED void link_dynamics(Robot *a, int at, float mass, const float *com, const 
     w_store(a, at + DYNAMICS_FORCE + 3, 3, lin);
 }
 
-#define SLOT(link) (T(W_DYNAMICS) + T(T(T_SLOT) + (link)) * DYNAMICS_SIZE)
+#define SLOT(link) (T(W_DYNAMICS) + L(T(T_SLOT) + (link)) * DYNAMICS_SIZE)
 
 /* Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree, each
  * from the base to the leaves and back. `gravity` is in base axes. */
@@ -125,44 +134,44 @@ FN void equations_of_motion(Robot *a, const float *gravity) {
     p_load(a, T(P_COM), 3, com);
     p_load(a, T(P_INERTIA), 6, inertia);
     link_dynamics(a, SLOT(0), P(T(P_MASS)), com, inertia, velocity, acceleration);
-    for (int tree = T(TREES) - 1; tree >= 0; tree--) {
-        int count = T(T(T_TREE) + 2 * tree), first = T(T(T_TREE) + 2 * tree + 1);
-        for (int k = 0; k < count; k++) {
-            int block = BLOCK_AT(T(first + k)), len = T(block + 3);
-            for (int place = 0; place < len; place++) place_link(a, T(block + place));
-            for (int place = 0; place < len; place++) {
-                int j = T(block + place), link = LINK(j + 1), own = SLOT(j + 1);
-                int parent = SLOT(T(T(T_JOINT) + j * JOINT_SIZE));
-                float v = S(T(S_JOINT_VELOCITY) + j), relative[6], product[6], local[6];
-                w_load(a, link + LINK_AXIS, 6, relative);
-                for (int i = 0; i < 6; i++) relative[i] = relative[i] * v;
-                w_load(a, link + LINK_VELOCITY, 6, velocity);
+    ROLLED for (int tree = T(TREES) - 1; tree >= 0; tree--) {
+        int count = L(T(T_TREE) + 2 * tree), first = L(T(T_TREE) + 2 * tree + 1);
+        ROLLED for (int k = 0; k < count; k++) {
+            int block = BLOCK_AT(L(first + k)), len = L(block + 3);
+            int parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
+            load_link(a, parent, r, x, velocity);
+            w_load(a, SLOT(parent), 6, acceleration);
+            /* the joints of a block carry each other */
+            ROLLED for (int place = 0; place < len; place++) {
+                int j = L(block + place);
+                float axis[6], relative[6], product[6], local[6], v = S(T(S_JOINT_VELOCITY) + j);
+                place_link(a, j, r, x, velocity, axis);
+                for (int i = 0; i < 6; i++) relative[i] = axis[i] * v;
                 cross_motion(velocity, relative, product);
-                for (int i = 0; i < 6; i++) acceleration[i] = W(parent + i) + product[i];
-                w_load(a, link, 9, r);
-                w_load(a, link + LINK_POSITION, 3, x);
+                for (int i = 0; i < 6; i++) acceleration[i] = acceleration[i] + product[i];
                 p_load(a, T(P_COM) + 3 * (j + 1), 3, local);
                 mul_vec(r, local, com);
                 add(x, com, com);
                 p_load(a, T(P_INERTIA) + 6 * (j + 1), 6, local);
                 rotate_sym(r, local, inertia);
-                link_dynamics(a, own, P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
+                link_dynamics(a, SLOT(j + 1), P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
             }
         }
-        for (int k = count - 1; k >= 0; k--) {
-            int b = T(first + k), block = BLOCK_AT(b);
-            for (int place = T(block + 3) - 1; place >= 0; place--) {
-                int j = T(block + place), own = SLOT(j + 1), parent = SLOT(T(T(T_JOINT) + j * JOINT_SIZE));
-                float axis[6], force[6];
-                set_joint(a, b, place, own + DYNAMICS_INERTIA, P(T(P_ARMATURE) + j));
+        ROLLED for (int k = count - 1; k >= 0; k--) {
+            int b = L(first + k), block = BLOCK_AT(b), parent = SLOT(L(T(T_JOINT) + L(block) * JOINT_SIZE));
+            float carried[16];
+            for (int i = 0; i < 16; i++) carried[i] = 0.0f;
+            ROLLED for (int place = L(block + 3) - 1, last = place; place >= 0; place--) {
+                int j = L(block + place), own = SLOT(j + 1) + DYNAMICS_INERTIA;
+                float axis[6], composite[16];
+                w_load(a, own, 16, composite);
+                for (int i = 0; i < 16; i++) carried[i] = place < last ? composite[i] + carried[i] : composite[i];
                 w_load(a, LINK(j + 1) + LINK_AXIS, 6, axis);
-                w_load(a, own + DYNAMICS_FORCE, 6, force);
-                W(T(W_BIAS) + j) = dot6(axis, force);
-                for (int i = 0; i < 6; i++)
-                    W(parent + DYNAMICS_FORCE + i) = W(parent + DYNAMICS_FORCE + i) + force[i];
-                for (int i = 0; i < 10; i++)
-                    W(parent + DYNAMICS_INERTIA + i) = W(parent + DYNAMICS_INERTIA + i) + W(own + DYNAMICS_INERTIA + i);
+                set_joint(a, b, place, carried, axis, P(T(P_ARMATURE) + j));
+                W(T(W_BIAS) + j) = dot6(axis, carried + 10);
             }
+            for (int i = 0; i < 16; i++)
+                W(parent + DYNAMICS_INERTIA + i) = W(parent + DYNAMICS_INERTIA + i) + carried[i];
             set_empty_places(a, b);
         }
     }

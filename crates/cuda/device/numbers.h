@@ -7,14 +7,32 @@
 
 #ifdef __CUDACC__
 #define FN static __device__ __forceinline__
-/* of parts that several others call: the text would be compiled many times over */
+/* of parts that several others call. One copy is compiled quickly; many, each at its place, are fast:
+ * the text of one morphology has them */
+#ifdef POLYPOD_TABLES
+#define CALLED FN
+#else
 #define CALLED static __device__ __noinline__
+#endif
 #define KERNEL extern "C" __global__
+/* of loops over parts of a robot: unrolled, the code would not fit into a multiprocessor's cache */
+#define ROLLED _Pragma("unroll 1")
+/* of loops over joints that wait for memory */
+#define BY_THREE _Pragma("unroll 3")
+/* of memory that no robot writes */
+#define READ(at) __ldg(at)
+#define RESTRICT __restrict__
+#define TABLE static __constant__ const
 #else
 #include <math.h>
 #include <stddef.h>
 #define FN static inline
 #define CALLED static
+#define ROLLED
+#define BY_THREE
+#define READ(at) (*(at))
+#define RESTRICT restrict
+#define TABLE static const
 #endif
 
 /* joints of a block */

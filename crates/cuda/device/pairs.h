@@ -9,8 +9,8 @@
 
 #define PLACED(c) (T(W_COLLIDER) + (c) * PLACED_SIZE)
 #define LINK_BOX(l) (T(W_LINK_BOX) + (l) * LINK_BOX_SIZE)
-#define IS_BOX(c) (T(T(T_COLLIDER) + (c) * COLLIDER_SIZE + 2))
-#define COLLIDER_LINK(c) (T(T(T_COLLIDER) + (c) * COLLIDER_SIZE))
+#define IS_BOX(c) (L(T(T_COLLIDER) + (c) * COLLIDER_SIZE + 2))
+#define COLLIDER_LINK(c) (L(T(T_COLLIDER) + (c) * COLLIDER_SIZE))
 
 typedef struct {
     float centre[3], half[3], radius;
@@ -46,8 +46,8 @@ CALLED float half_squared_speed(const float *velocity, const float *centre, floa
 
 /* Puts a box around the colliders of each link, and finds how fast any point of it moves. */
 FN void box_links(Robot *a) {
-    for (int link = 0; link <= T(JOINTS); link++) {
-        if (T(T(T_LINK_COLLIDERS) + 2 * link) == 0) continue;
+    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
+        if (L(T(T_LINK_COLLIDERS) + 2 * link) == 0) continue;
         float box[6], r[9], x[3], centre[3], extent[3], motion[6], speed = 0.0f;
         p_load(a, T(P_LINK_BOX) + 6 * link, 6, box);
         w_load(a, LINK(link), 9, r);
@@ -82,7 +82,7 @@ CALLED void place_collider(Robot *a, int c) {
     mul_vec(r, centre, centre);
     add(x, centre, centre);
     if (IS_BOX(c)) {
-        mul_mat(r, a->c + T(C_BOX) + 9 * c, rotation);
+        mul_mat(r, C(T(C_BOX) + 9 * c), rotation);
         w_store(a, to + PLACED_ROTATION, 9, rotation);
         turned_extent(rotation, half, extent);
     } else {
@@ -155,7 +155,7 @@ FN void nearest_to_box(const Capsule *a, const float *box, int halves, float *o)
         quarter = 0.25f;
         t = first < 0.0f ? 0.5f : -0.5f;
     }
-    for (int halving = 0; halving < SEGMENT_HALVINGS; halving++) {
+    ROLLED for (int halving = 0; halving < SEGMENT_HALVINGS; halving++) {
         float slope = slope_to_box(a, t, box), down = 0.0f < slope ? -quarter : 0.0f;
         t = t + (slope < 0.0f ? quarter : down);
         if (halving + 2 < SEGMENT_HALVINGS) quarter = quarter * 0.5f;
@@ -212,31 +212,45 @@ FN float parting(const Robot *a, const int *links, int of, const Proximity *foun
     return dot(found->normal, first);
 }
 
-/* Builds the rows of a pair of links that touch: equal and opposite forces along the axes of a frame. */
-FN void build_pair(Robot *a, int pair, int contact, const Proximity *found) {
-    int at = T(T_PAIR) + pair * PAIR_SIZE, path = T(at + 5), i = a->num_contacts, row = ROW(i);
-    float frame[9];
-    pair_frame(found->normal, frame);
-    ROW_CONTACT(i) = contact;
-    ROW_PATH(i) = path;
-    ROW_PAIR(i) = pair;
-    set_directions(a, row, found->point, frame);
-    for (int p = 0; p < PATH_PARTS(path); p++) {
-        int out = p == 0 ? row + ROW_OWN : ROW_PARTS(i) + 9 * (p - 1);
-        joint_rows(a, PART(path, p), row, out);
+/* Builds the rows of a contact of two links, which was found: equal and opposite forces along the axes
+ * of a frame. */
+FN void build_pair(Robot *a) {
+    int i = a->num_contacts, row = ROW(i), at = T(T_PAIR) + ROW_PAIR(i) * PAIR_SIZE, path = ROW_PATH(i);
+    float normal[3], point[3], frame[9], base[18], own[9], gap = W(row + FOUND_GAP);
+    w_load(a, row + FOUND_POINT, 3, point);
+    w_load(a, row + FOUND_NORMAL, 3, normal);
+    pair_frame(normal, frame);
+    set_directions(point, frame, base);
+    for (int k = 0; k < 9; k++) own[k] = 0.0f;
+    ROLLED for (int p = PATH_PARTS(path) - 1; p >= 0; p--) {
+        joint_rows(a, PART(path, p), base, own);
         /* a link that carries both feels nothing */
-        for (int k = 0; k < 9; k++) W(out + k) = W(out + k) * (float)(T(T(at + 7) + BLOCK * p + k / 3) - 1);
+        for (int k = 0; k < 9; k++) own[k] = own[k] * (float)(L(L(at + 7) + BLOCK * p + k / 3) - 1);
+        if (p > 0) w_store(a, ROW_PARTS(i) + 9 * (p - 1), 9, own);
     }
-    for (int k = 0; k < 18; k++) W(row + k) = 0.0f;
-    half_solve_rows(a, row, ROW_PARTS(i), path);
+    for (int k = 0; k < 18; k++) base[k] = 0.0f;
+    half_solve_rows(a, base, own, ROW_PARTS(i), path);
     w_store(a, row + ROW_FRAME, 9, frame);
-    finish_rows(a, TC(PAIR_COMPLIANCE));
+    finish_rows(a, base, own, TC(PAIR_COMPLIANCE));
+    add_contact(a, ROW_CONTACT(i), separation(a, gap, 1.0f / TC(DT)), NO_TARGET);
 }
 
-/* The contacts of two colliders, whose boxes are near each other. */
-FN void touch_pair(Robot *a, int pair, float margin) {
-    int at = T(T_PAIR) + pair * PAIR_SIZE, first = T(at), second = T(at + 1), parts = T(at + 4);
+/* Distance below which the boxes of two links are near each other. */
+FN float near_distance(const Robot *a, int first, int second) {
+    return fma_(W(LINK_BOX(first) + 6) + W(LINK_BOX(second) + 6), TC(DT), TC(PAIR_REACH)) + TC(PAIR_ROUNDING);
+}
+
+FN int links_near(const Robot *a, int group) {
+    int first = L(group), second = L(group + 1), one = LINK_BOX(first), two = LINK_BOX(second);
+    return box_distance(a, one, one + 3, two, two + 3) < near_distance(a, first, second);
+}
+
+/* Finds the contacts of two colliders, whose boxes are near each other. Returns the number of all
+ * contacts that were found. */
+FN int touch_pair(Robot *a, int pair, int count) {
+    int at = T(T_PAIR) + pair * PAIR_SIZE, first = L(at), second = L(at + 1), parts = L(at + 4);
     int links[2] = {COLLIDER_LINK(first), COLLIDER_LINK(second)}, is_box = IS_BOX(second);
+    float margin = near_distance(a, links[0], links[1]);
     Capsule capsule, other;
     float places[4], rotation[9], t[3];
     load_capsule(a, first, &capsule);
@@ -250,7 +264,7 @@ FN void touch_pair(Robot *a, int pair, float margin) {
         float reach = capsule.radius + margin, apart = -reach;
         for (int i = 0; i < 3; i++)
             apart = max_(apart, fabsf(capsule.centre[i]) - fabsf(capsule.half[i]) - other.half[i]);
-        if (!(apart < reach)) return;
+        if (!(apart < reach)) return count;
         float halves[2];
         nearest_to_box(&capsule, other.half, parts == 2, halves);
         places[0] = places[1] = halves[0];
@@ -259,7 +273,7 @@ FN void touch_pair(Robot *a, int pair, float margin) {
         sub(capsule.centre, other.centre, t);
         float rest = capsule.radius + other.radius + margin;
         float lengths = 2.0f * (dot(capsule.half, capsule.half) + dot(other.half, other.half));
-        if (!(dot(t, t) < 2.0f * (rest * rest + lengths))) return;
+        if (!(dot(t, t) < 2.0f * (rest * rest + lengths))) return count;
         if (parts == 2) {
             nearest_on_capsules(&capsule, -1.0f, 0.0f, -0.5f, &other, places);
             nearest_on_capsules(&capsule, 0.0f, 1.0f, 0.5f, &other, places + 2);
@@ -267,7 +281,7 @@ FN void touch_pair(Robot *a, int pair, float margin) {
             nearest_on_capsules(&capsule, -1.0f, 1.0f, 0.0f, &other, places);
         }
     }
-    for (int i = 0; i < parts; i++) {
+    ROLLED for (int i = 0; i < parts; i++) {
         Proximity found;
         if (is_box) {
             capsule_and_box(&capsule, places[2 * i], other.half, &found);
@@ -280,31 +294,45 @@ FN void touch_pair(Robot *a, int pair, float margin) {
         }
         float now = parting(a, links, LINK_VELOCITY, &found), free = parting(a, links, LINK_FREE, &found);
         if (!(found.gap < reach_in_step(a, TC(PAIR_REACH), now, free))) continue;
-        int contact = T(at + 6) + i;
-        build_pair(a, pair, contact, &found);
-        add_contact(a, contact, separation(a, found.gap, 1.0f / TC(DT)), NO_TARGET);
+        int row = ROW(count);
+        ROW_CONTACT(count) = L(at + 6) + i;
+        ROW_PATH(count) = L(at + 5);
+        ROW_PAIR(count) = pair;
+        w_store(a, row + FOUND_POINT, 3, found.point);
+        w_store(a, row + FOUND_NORMAL, 3, found.normal);
+        W(row + FOUND_GAP) = found.gap;
+        count++;
     }
+    return count;
 }
 
-/* Finds the pairs of links that are near each other and builds their rows. */
+/* Finds the pairs of links that are near each other and builds their rows. Each stage looks at all
+ * links, pairs or contacts before the next one: the robots of a warp stay together. */
 FN void build_pairs(Robot *a) {
+    int count = a->num_contacts, near = T(ROWS);
     if (T(PAIRS) == 0) return;
     box_links(a);
-    for (int group = 0; group < T(GROUPS); group++) {
-        int at = T(T_GROUP) + group * GROUP_SIZE, first = LINK_BOX(T(at)), second = LINK_BOX(T(at + 1));
-        float margin = fma_(W(first + 6) + W(second + 6), TC(DT), TC(PAIR_REACH)), wide = margin + TC(PAIR_ROUNDING);
-        if (!(box_distance(a, first, first + 3, second, second + 3) < wide)) continue;
-        for (int i = 0; i < 2; i++) {
-            int link = T(at + i), colliders = T(T_LINK_COLLIDERS) + 2 * link;
-            if (I(T(I_PLACED) + link)) continue;
-            I(T(I_PLACED) + link) = 1;
-            for (int k = 0; k < T(colliders); k++) place_collider(a, T(T(colliders + 1) + k));
-        }
-        for (int pair = T(at + 2); pair < T(at + 2) + T(at + 3); pair++) {
-            int one = PLACED(T(T(T_PAIR) + pair * PAIR_SIZE)), two = PLACED(T(T(T_PAIR) + pair * PAIR_SIZE + 1));
-            if (!(box_distance(a, one, one + PLACED_EXTENT, two, two + PLACED_EXTENT) < wide)) continue;
-            touch_pair(a, pair, wide);
+    ROLLED for (int group = 0; group < T(GROUPS); group++) {
+        int at = T(T_GROUP) + group * GROUP_SIZE;
+        if (links_near(a, at)) I(T(I_PLACED) + L(at)) = I(T(I_PLACED) + L(at + 1)) = 1;
+    }
+    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
+        int colliders = T(T_LINK_COLLIDERS) + 2 * link, number = L(colliders);
+        if (number == 0 || !I(T(I_PLACED) + link)) continue;
+        ROLLED for (int k = 0; k < number; k++) place_collider(a, L(L(colliders + 1) + k));
+    }
+    /* pairs whose boxes are near each other: a list in the memory of the last rows, which contacts of
+     * earlier pairs do not reach */
+    ROLLED for (int group = T(GROUPS) - 1; group >= 0; group--) {
+        int at = T(T_GROUP) + group * GROUP_SIZE, first = L(at + 2);
+        if (!links_near(a, at)) continue;
+        float distance = near_distance(a, L(at), L(at + 1));
+        ROLLED for (int pair = first + L(at + 3) - 1; pair >= first; pair--) {
+            int one = PLACED(L(T(T_PAIR) + pair * PAIR_SIZE)), two = PLACED(L(T(T_PAIR) + pair * PAIR_SIZE + 1));
+            if (box_distance(a, one, one + PLACED_EXTENT, two, two + PLACED_EXTENT) < distance) ROW_PAIR(--near) = pair;
         }
     }
+    ROLLED for (; near < T(ROWS); near++) count = touch_pair(a, ROW_PAIR(near), count);
+    ROLLED while (a->num_contacts < count) build_pair(a);
 }
 #endif

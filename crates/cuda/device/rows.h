@@ -8,53 +8,63 @@
 #include "factor.h"
 
 /* The first block of a path, 0 if there is none. */
-FN int first_block(const Robot *a, int path) { return PATH_PARTS(path) > 0 ? T(PART(path, 0)) : 0; }
+FN int first_block(const Robot *a, int path) { return PATH_PARTS(path) > 0 ? L(PART(path, 0)) : 0; }
 
-CALLED void velocities(const Robot *a, int row, int further, int path, int units, const float *y_base, int joints,
-                   float *w) {
-    int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
-    float even[3], odd[3], base[18];
-    for (int d = 0; d < 3; d++) even[d] = W(row + ROW_OWN + d) * W(y);
+/* Rows as the solver reads them. */
+typedef struct {
+    float base[18], own[9];
+} Rows;
+
+FN void load_rows(const Robot *a, int row, Rows *o) {
+    w_load(a, row, 18, o->base);
+    w_load(a, row + ROW_OWN, 9, o->own);
+}
+
+CALLED void velocities(const Robot *a, const Rows *rows, int further, int path, int units, const float *y_base,
+                       int joints, float *w) {
+    int parts = PATH_PARTS(path);
+    float even[3], odd[3], y[3];
+    w_load(a, joints + 3 * first_block(a, path), 3, y);
+    for (int d = 0; d < 3; d++) even[d] = rows->own[d] * y[0];
     for (int s = 1; s < BLOCK; s++)
         for (int d = 0; d < 3; d++)
-            if (!units || d >= s) even[d] = fma_(W(row + ROW_OWN + 3 * s + d), W(y + s), even[d]);
-    for (int p = 1; p < parts; p++) {
+            if (!units || d >= s) even[d] = fma_(rows->own[3 * s + d], y[s], even[d]);
+    ROLLED for (int p = 1; p < parts; p++) {
         int z = further + 9 * (p - 1);
-        y = joints + 3 * T(PART(path, p));
+        w_load(a, joints + 3 * L(PART(path, p)), 3, y);
         for (int s = 0; s < BLOCK; s++)
-            for (int d = 0; d < 3; d++) even[d] = fma_(W(z + 3 * s + d), W(y + s), even[d]);
+            for (int d = 0; d < 3; d++) even[d] = fma_(W(z + 3 * s + d), y[s], even[d]);
     }
-    w_load(a, row, 18, base);
     for (int d = 0; d < 3; d++) {
-        const float *b = base + 6 * d;
+        const float *b = rows->base + 6 * d;
         even[d] = fma_(b[4], y_base[4], fma_(b[2], y_base[2], fma_(b[0], y_base[0], even[d])));
         odd[d] = fma_(b[5], y_base[5], fma_(b[3], y_base[3], b[1] * y_base[1]));
         w[d] = even[d] + odd[d];
     }
 }
 
-CALLED void apply_rows(Robot *a, int row, int further, int path, int units, const float *impulse, float *y_base,
-                   int joints) {
-    int y = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
+CALLED void apply_rows(Robot *a, const Rows *rows, int further, int path, int units, const float *impulse,
+                       float *y_base, int joints) {
+    int at = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
+    float y[3];
     for (int r = 0; r < 6; r++) {
-        float x = fma_(W(row + r), impulse[0], y_base[r]);
-        x = fma_(W(row + 6 + r), impulse[1], x);
-        y_base[r] = fma_(W(row + 12 + r), impulse[2], x);
+        float x = fma_(rows->base[r], impulse[0], y_base[r]);
+        x = fma_(rows->base[6 + r], impulse[1], x);
+        y_base[r] = fma_(rows->base[12 + r], impulse[2], x);
     }
-    for (int s = 0; s < BLOCK; s++) {
-        float x = W(y + s);
+    w_load(a, at, 3, y);
+    for (int s = 0; s < BLOCK; s++)
         for (int d = 0; d < 3; d++)
-            if (!units || d >= s) x = fma_(W(row + ROW_OWN + 3 * s + d), impulse[d], x);
-        W(y + s) = x;
-    }
-    for (int p = 1; p < parts; p++) {
-        int z = further + 9 * (p - 1);
-        y = joints + 3 * T(PART(path, p));
-        for (int s = 0; s < BLOCK; s++) {
-            float x = fma_(W(z + 3 * s), impulse[0], W(y + s));
-            x = fma_(W(z + 3 * s + 1), impulse[1], x);
-            W(y + s) = fma_(W(z + 3 * s + 2), impulse[2], x);
-        }
+            if (!units || d >= s) y[s] = fma_(rows->own[3 * s + d], impulse[d], y[s]);
+    w_store(a, at, 3, y);
+    ROLLED for (int p = 1; p < parts; p++) {
+        float z[9];
+        at = joints + 3 * L(PART(path, p));
+        w_load(a, further + 9 * (p - 1), 9, z);
+        w_load(a, at, 3, y);
+        for (int s = 0; s < BLOCK; s++)
+            for (int d = 0; d < 3; d++) y[s] = fma_(z[3 * s + d], impulse[d], y[s]);
+        w_store(a, at, 3, y);
     }
 }
 
@@ -66,11 +76,10 @@ FN float dot6_onto(const float *a, const float *b, float c) {
 }
 
 /* Products of the rows 0 0, 1 1, 2 2, 0 1, 0 2, 1 2. */
-CALLED void products(const Robot *a, int row, int further, int path, int units, float *out) {
-    float product[6] = {0}, x[9], base[18];
-    w_load(a, row + ROW_OWN, 9, x);
+CALLED void products(const Robot *a, const float *base, const float *own, int further, int path, int units, float *out) {
+    float product[6] = {0}, x[9];
     for (int s = 0; s < BLOCK; s++) {
-        const float *z = x + 3 * s;
+        const float *z = own + 3 * s;
         if (!units || s <= 0) product[0] = fma_(z[0], z[0], product[0]);
         if (!units || s <= 1) product[1] = fma_(z[1], z[1], product[1]);
         product[2] = fma_(z[2], z[2], product[2]);
@@ -78,7 +87,7 @@ CALLED void products(const Robot *a, int row, int further, int path, int units, 
         if (!units || s <= 0) product[4] = fma_(z[0], z[2], product[4]);
         if (!units || s <= 1) product[5] = fma_(z[1], z[2], product[5]);
     }
-    for (int p = 1; p < PATH_PARTS(path); p++) {
+    ROLLED for (int p = 1; p < PATH_PARTS(path); p++) {
         w_load(a, further + 9 * (p - 1), 9, x);
         for (int s = 0; s < BLOCK; s++) {
             const float *z = x + 3 * s;
@@ -90,7 +99,6 @@ CALLED void products(const Robot *a, int row, int further, int path, int units, 
             product[5] = fma_(z[1], z[2], product[5]);
         }
     }
-    w_load(a, row, 18, base);
     out[0] = dot6_onto(base, base, product[0]);
     out[1] = dot6_onto(base + 6, base + 6, product[1]);
     out[2] = dot6_onto(base + 12, base + 12, product[2]);
@@ -100,45 +108,45 @@ CALLED void products(const Robot *a, int row, int further, int path, int units, 
 }
 
 CALLED float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
-    int y = joints + 3 * first_block(a, path);
-    float base[6], w = W(row + ROW_OWN) * W(y);
-    w = fma_(W(row + ROW_OWN + 6), W(y + 2), fma_(W(row + ROW_OWN + 3), W(y + 1), w));
-    for (int p = 1; p < PATH_PARTS(path); p++) {
+    int at = joints + 3 * first_block(a, path);
+    float base[6], w = W(row + ROW_OWN) * W(at);
+    w = fma_(W(row + ROW_OWN + 6), W(at + 2), fma_(W(row + ROW_OWN + 3), W(at + 1), w));
+    ROLLED for (int p = 1; p < PATH_PARTS(path); p++) {
         int z = further + 9 * (p - 1);
-        y = joints + 3 * T(PART(path, p));
-        for (int s = 0; s < BLOCK; s++) w = fma_(W(z + 3 * s), W(y + s), w);
+        at = joints + 3 * L(PART(path, p));
+        for (int s = 0; s < BLOCK; s++) w = fma_(W(z + 3 * s), W(at + s), w);
     }
     w_load(a, row, 6, base);
     return dot6_onto(base, y_base, w);
 }
 
 CALLED void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
-    int y = joints + 3 * first_block(a, path);
+    int parts = PATH_PARTS(path);
     for (int r = 0; r < 6; r++) y_base[r] = fma_(W(row + r), impulse, y_base[r]);
-    for (int s = 0; s < BLOCK; s++) W(y + s) = fma_(W(row + ROW_OWN + 3 * s), impulse, W(y + s));
-    for (int p = 1; p < PATH_PARTS(path); p++) {
-        int z = further + 9 * (p - 1);
-        y = joints + 3 * T(PART(path, p));
-        for (int s = 0; s < BLOCK; s++) W(y + s) = fma_(W(z + 3 * s), impulse, W(y + s));
+    ROLLED for (int p = 0; p < (parts > 0 ? parts : 1); p++) {
+        int z = p == 0 ? row + ROW_OWN : further + 9 * (p - 1);
+        int at = joints + 3 * (p == 0 ? first_block(a, path) : L(PART(path, p)));
+        float y[3];
+        for (int s = 0; s < BLOCK; s++) y[s] = fma_(W(z + 3 * s), impulse, W(at + s));
+        w_store(a, at, 3, y);
     }
 }
 
-/* Eliminates a block's joints among themselves. */
-CALLED void eliminate_inner(Robot *a, int b, int x) {
+/* Eliminates a block's joints among themselves, in its part of the rows. */
+CALLED void eliminate_inner(const Robot *a, int b, float *x) {
     int inner = FACTOR(b) + FACTOR_INNER;
     float l10 = W(inner), l20 = W(inner + 1), l21 = W(inner + 2);
     for (int d = 0; d < 3; d++) {
-        float x2 = W(x + 6 + d), x1 = nfma(l21, x2, W(x + 3 + d));
-        W(x + 3 + d) = x1;
-        W(x + d) = nfma(l10, x1, nfma(l20, x2, W(x + d)));
+        x[3 + d] = nfma(l21, x[6 + d], x[3 + d]);
+        x[d] = nfma(l10, x[3 + d], nfma(l20, x[6 + d], x[d]));
     }
 }
 
 /* Change of the parts that carry a block by the elimination of its joints, whose rows are `x`. */
 CALLED void pass_on(Robot *a, int part, const float *x, int further) {
-    int first = T(BLOCK_AT(T(part)) + 6);
-    for (int c = 0; c < T(part + 2); c++) {
-        int on = further + 9 * (T(T(part + 3) + c) - 1);
+    int first = L(BLOCK_AT(L(part)) + 6);
+    ROLLED for (int c = 0; c < L(part + 2); c++) {
+        int on = further + 9 * (L(L(part + 3) + c) - 1);
         float l[9], to[9];
         w_load(a, COUPLING(first + c), 9, l);
         w_load(a, on, 9, to);
@@ -151,124 +159,119 @@ CALLED void pass_on(Robot *a, int part, const float *x, int further) {
 
 /* Eliminates the blocks of a path after the first among themselves. */
 FN void half_solve_further(Robot *a, int path, int further) {
-    for (int p = 1; p < PATH_PARTS(path); p++) {
+    ROLLED for (int p = 1; p < PATH_PARTS(path); p++) {
         int part = PART(path, p), at = further + 9 * (p - 1);
         float x[9];
-        eliminate_inner(a, T(part), at);
         w_load(a, at, 9, x);
+        eliminate_inner(a, L(part), x);
+        w_store(a, at, 9, x);
         pass_on(a, part, x, further);
     }
 }
 
-FN void eliminate_base(const Robot *a, int b, int x, int d, float *base) {
+FN void eliminate_base(const Robot *a, int b, const float *x, int d, float *base) {
     for (int s = BLOCK - 1; s >= 0; s--)
-        for (int r = 0; r < 6; r++)
-            base[r] = nfma(W(FACTOR(b) + FACTOR_BASE + 6 * s + r), W(x + 3 * s + d), base[r]);
+        for (int r = 0; r < 6; r++) base[r] = nfma(W(FACTOR(b) + FACTOR_BASE + 6 * s + r), x[3 * s + d], base[r]);
 }
 
-FN void scale_rows(Robot *a, int b, int x) {
+FN void scale_rows(const Robot *a, int b, float *x) {
     for (int s = 0; s < BLOCK; s++)
-        for (int d = 0; d < 3; d++) W(x + 3 * s + d) = W(x + 3 * s + d) * W(ROOT(b) + 2 * s + 1);
+        for (int d = 0; d < 3; d++) x[3 * s + d] = x[3 * s + d] * W(ROOT(b) + 2 * s + 1);
 }
 
 /* Change of the base's part by the elimination of the joints; D^-1/2 of the blocks after the first. */
-CALLED void solve_base(Robot *a, int row, int further, int path, int with_first) {
+CALLED void solve_base(Robot *a, float *base, const float *own, int further, int path, int with_first) {
     int parts = PATH_PARTS(path);
-    if (T(FLOATING)) {
-        for (int d = 0; d < 3; d++) {
-            float base[6];
-            w_load(a, row + 6 * d, 6, base);
-            if (with_first) eliminate_base(a, T(PART(path, 0)), row + ROW_OWN, d, base);
-            for (int p = 1; p < parts; p++) eliminate_base(a, T(PART(path, p)), further + 9 * (p - 1), d, base);
-            base_forward(a, base);
-            for (int r = 0; r < 6; r++) W(row + 6 * d + r) = base[r] * a->root[2 * r + 1];
-        }
+    float x[9];
+    if (T(FLOATING) && with_first)
+        for (int d = 0; d < 3; d++) eliminate_base(a, L(PART(path, 0)), own, d, base + 6 * d);
+    ROLLED for (int p = 1; p < parts; p++) {
+        int b = L(PART(path, p));
+        w_load(a, further + 9 * (p - 1), 9, x);
+        if (T(FLOATING))
+            for (int d = 0; d < 3; d++) eliminate_base(a, b, x, d, base + 6 * d);
+        scale_rows(a, b, x);
+        w_store(a, further + 9 * (p - 1), 9, x);
     }
-    for (int p = 1; p < parts; p++) scale_rows(a, T(PART(path, p)), further + 9 * (p - 1));
+    if (!T(FLOATING)) return;
+    for (int d = 0; d < 3; d++) {
+        base_forward(a, base + 6 * d);
+        for (int r = 0; r < 6; r++) base[6 * d + r] = base[6 * d + r] * a->root[2 * r + 1];
+    }
 }
 
 /* H^-T J^T in place. */
-CALLED void half_solve_rows(Robot *a, int row, int further, int path) {
+CALLED void half_solve_rows(Robot *a, float *base, float *own, int further, int path) {
     int parts = PATH_PARTS(path);
     if (parts == 0) {
-        solve_base(a, row, further, path, 0);
+        solve_base(a, base, own, further, path, 0);
         return;
     }
-    int part = PART(path, 0), b = T(part);
-    eliminate_inner(a, b, row + ROW_OWN);
-    if (parts > 1) {
-        float x[9];
-        w_load(a, row + ROW_OWN, 9, x);
-        pass_on(a, part, x, further);
-    }
+    int part = PART(path, 0), b = L(part);
+    eliminate_inner(a, b, own);
+    if (parts > 1) pass_on(a, part, own, further);
     half_solve_further(a, path, further);
-    solve_base(a, row, further, path, 1);
-    scale_rows(a, b, row + ROW_OWN);
+    solve_base(a, base, own, further, path, 1);
+    scale_rows(a, b, own);
 }
 
 /* H^-T J^T of three unit vectors, one for each joint of the block where the path begins. */
-FN void half_solve_units(Robot *a, int row, int further, int path) {
-    int parts = PATH_PARTS(path), part = PART(path, 0), b = T(part), own = FACTOR(b);
+FN void half_solve_units(Robot *a, float *base, float *z, int further, int path) {
+    int parts = PATH_PARTS(path), part = PART(path, 0), b = L(part), own = FACTOR(b);
     float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
     float x01 = -l10, x12 = -l21, x02 = nfma(l10, x12, -l20);
     if (parts > 1) {
         float x[9] = {1.0f, x01, x02, 0.0f, 1.0f, x12, 0.0f, 0.0f, 1.0f};
-        for (int k = 0; k < 9 * (parts - 1); k++) W(further + k) = 0.0f;
+        ROLLED for (int k = 0; k < 9 * (parts - 1); k++) W(further + k) = 0.0f;
         pass_on(a, part, x, further);
     }
     half_solve_further(a, path, further);
     for (int r = 0; r < 6; r++) {
-        int base = own + FACTOR_BASE + r;
-        W(row + r) = -W(base);
-        W(row + 6 + r) = nfma(x01, W(base), -W(base + 6));
-        W(row + 12 + r) = nfma(x02, W(base), nfma(x12, W(base + 6), -W(base + 12)));
+        float first = W(own + FACTOR_BASE + r), second = W(own + FACTOR_BASE + 6 + r);
+        base[r] = -first;
+        base[6 + r] = nfma(x01, first, -second);
+        base[12 + r] = nfma(x02, first, nfma(x12, second, -W(own + FACTOR_BASE + 12 + r)));
     }
-    solve_base(a, row, further, path, 0);
+    solve_base(a, base, z, further, path, 0);
     float r0 = W(ROOT(b) + 1), r1 = W(ROOT(b) + 3), r2 = W(ROOT(b) + 5);
-    W(row + ROW_OWN) = r0;
-    W(row + ROW_OWN + 1) = x01 * r0;
-    W(row + ROW_OWN + 2) = x02 * r0;
-    W(row + ROW_OWN + 4) = r1;
-    W(row + ROW_OWN + 5) = x12 * r1;
-    W(row + ROW_OWN + 8) = r2;
+    set3(z, r0, x01 * r0, x02 * r0);
+    set3(z + 3, 0.0f, r1, x12 * r1);
+    set3(z + 6, 0.0f, 0.0f, r2);
 }
 
 /* J of a block's joints for forces along three directions, each its moment and itself. */
-FN void joint_rows(Robot *a, int part, int directions, int out) {
-    int joints = BLOCK_AT(T(part));
+FN void joint_rows(const Robot *a, int part, const float *directions, float *out) {
+    int joints = BLOCK_AT(L(part));
     for (int s = 0; s < BLOCK; s++) {
-        if (s >= T(part + 1)) {
-            for (int d = 0; d < 3; d++) W(out + 3 * s + d) = 0.0f;
-            continue;
-        }
-        float axis[6], x[6];
-        w_load(a, LINK(T(joints + s) + 1) + LINK_AXIS, 6, axis);
-        for (int d = 0; d < 3; d++) {
-            w_load(a, directions + 6 * d, 6, x);
-            W(out + 3 * s + d) = dot(axis, x) + dot(axis + 3, x + 3);
-        }
+        set3(out + 3 * s, 0.0f, 0.0f, 0.0f);
+        if (s >= L(part + 1)) continue;
+        float axis[6];
+        w_load(a, LINK(L(joints + s) + 1) + LINK_AXIS, 6, axis);
+        for (int d = 0; d < 3; d++)
+            out[3 * s + d] = dot(axis, directions + 6 * d) + dot(axis + 3, directions + 6 * d + 3);
     }
 }
 
-/* Z of three rows that act on a link; their base parts hold the directions. */
-CALLED void build_rows(Robot *a, int path, int row, int further) {
+/* Z of three rows that act on a link; `base` holds the directions. */
+CALLED void build_rows(Robot *a, int path, float *base, float *own, int further) {
     int parts = PATH_PARTS(path);
-    for (int p = 0; p < parts; p++)
-        joint_rows(a, PART(path, p), row, p == 0 ? row + ROW_OWN : further + 9 * (p - 1));
-    if (parts == 0)
-        for (int k = 0; k < 9; k++) W(row + ROW_OWN + k) = 0.0f;
+    float x[9];
+    for (int k = 0; k < 9; k++) own[k] = 0.0f;
+    if (parts > 0) joint_rows(a, PART(path, 0), base, own);
+    ROLLED for (int p = 1; p < parts; p++) {
+        joint_rows(a, PART(path, p), base, x);
+        w_store(a, further + 9 * (p - 1), 9, x);
+    }
     if (!T(FLOATING))
-        for (int k = 0; k < 18; k++) W(row + k) = 0.0f;
-    half_solve_rows(a, row, further, path);
+        for (int k = 0; k < 18; k++) base[k] = 0.0f;
+    half_solve_rows(a, base, own, further, path);
 }
 
 /* Directions of rows along the axes of `frame` at a point. */
-FN void set_directions(Robot *a, int row, const float *point, const float *frame) {
-    float moment[3];
+FN void set_directions(const float *point, const float *frame, float *base) {
     for (int d = 0; d < 3; d++) {
-        cross(point, frame + 3 * d, moment);
-        w_store(a, row + 6 * d, 3, moment);
-        w_store(a, row + 6 * d + 3, 3, frame + 3 * d);
+        cross(point, frame + 3 * d, base + 6 * d);
+        copy(base + 6 * d + 3, frame + 3 * d, 3);
     }
 }
 
@@ -283,13 +286,15 @@ FN void set_directions(Robot *a, int row, const float *point, const float *frame
 #define BOUND_PARTS(b) (T(W_BOUND_FURTHER) + (b) * 9 * T(STRIDE))
 #define BOUND_INTEGER(b) (T(I_BOUND) + (b) * BOUND_INTEGERS)
 /* the path of a block's last joint */
-#define BOUND_PATH(b) (T(BLOCK_AT(b) + T(BLOCK_AT(b) + 3) - 1) + 1)
+#define BOUND_PATH(b) (L(BLOCK_AT(b) + L(BLOCK_AT(b) + 3) - 1) + 1)
 
-/* Couplings of the rows about to be added. */
-CALLED void finish_rows(Robot *a, float compliance) {
+/* Stores the rows about to be added and their couplings. */
+CALLED void finish_rows(Robot *a, const float *base, const float *own, float compliance) {
     int i = a->num_contacts, row = ROW(i);
     float product[6], softness = a->compliance * compliance, least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
-    products(a, row, ROW_PARTS(i), ROW_PATH(i), 0, product);
+    products(a, base, own, ROW_PARTS(i), ROW_PATH(i), 0, product);
+    w_store(a, row, 18, base);
+    w_store(a, row + ROW_OWN, 9, own);
     float difference = (product[1] - product[2]) * 0.5f;
     float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
     float diagonal = product[0] + softness;
@@ -310,7 +315,7 @@ CALLED void finish_rows(Robot *a, float compliance) {
  * `at` of the workspace on. */
 FN void last_impulse(Robot *a, int contact, int at) {
     int list = T(I_PRESSING), found = -1;
-    for (int i = 0; i < I(list); i++)
+    ROLLED for (int i = 0; i < I(list); i++)
         if (I(list + 1 + i) == contact) found = i;
     for (int d = 0; d < 3; d++) W(at + d) = found < 0 ? 0.0f : W(T(W_PRESSING) + 3 * found + d);
 }

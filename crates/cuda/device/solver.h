@@ -8,26 +8,30 @@
 FN void warm_start(Robot *a) {
     int moved = T(W_MOVED), joints = T(W_JOINTS), numbers = BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1);
     float targets = 0.0f, energy = (float)1e-20, impulse[3];
+    Rows rows;
     for (int r = 0; r < 6; r++) a->moved[r] = 0.0f;
-    for (int k = 0; k < numbers; k++) W(moved + k) = 0.0f;
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int k = 0; k < numbers; k++) W(moved + k) = 0.0f;
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         w_load(a, row + ROW_IMPULSE, 3, impulse);
-        apply_rows(a, row, ROW_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
+        load_rows(a, row, &rows);
+        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
         targets = fma_(W(row + ROW_TARGET), impulse[0], targets);
         energy = fma_(W(row + ROW_SOFTNESS) * impulse[0], impulse[0], energy);
     }
-    for (int i = 0; i < a->num_spins; i++) {
+    ROLLED for (int i = 0; i < a->num_spins; i++) {
         w_load(a, SPIN(i) + SPIN_IMPULSE, 3, impulse);
+        load_rows(a, SPIN(i), &rows);
         if (T(FRICTION) == 2)
-            apply_rows(a, SPIN(i), SPIN_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
+            apply_rows(a, &rows, SPIN_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
         else
             apply_first(a, SPIN(i), SPIN_PARTS(i), ROW_PATH(i), impulse[0], a->moved, moved);
     }
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) impulse[i] = bound_impulse(a, b, i);
-        apply_rows(a, BOUND(b), BOUND_PARTS(b), BOUND_PATH(b), 1, impulse, a->moved, moved);
+        load_rows(a, BOUND(b), &rows);
+        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, impulse, a->moved, moved);
         if (!BLOCK_LIMITS(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -37,7 +41,7 @@ FN void warm_start(Robot *a) {
         }
     }
     float gain = targets;
-    for (int k = 0; k < numbers; k++) {
+    ROLLED for (int k = 0; k < numbers; k++) {
         float change = W(moved + k);
         gain = nfma(change, W(joints + k), gain);
         energy = fma_(change, change, energy);
@@ -47,13 +51,13 @@ FN void warm_start(Robot *a) {
         energy = fma_(a->moved[r], a->moved[r], energy);
     }
     float share = clamp_(gain / energy, 0.0f, 1.0f);
-    for (int k = 0; k < numbers; k++) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
+    ROLLED for (int k = 0; k < numbers; k++) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
     for (int r = 0; r < 6; r++) a->y[r] = fma_(share, a->moved[r], a->y[r]);
-    for (int i = 0; i < a->num_contacts; i++)
+    ROLLED for (int i = 0; i < a->num_contacts; i++)
         for (int d = 0; d < 3; d++) W(ROW(i) + ROW_IMPULSE + d) = W(ROW(i) + ROW_IMPULSE + d) * share;
-    for (int i = 0; i < a->num_spins; i++)
+    ROLLED for (int i = 0; i < a->num_spins; i++)
         for (int d = 0; d < 3; d++) W(SPIN(i) + SPIN_IMPULSE + d) = W(SPIN(i) + SPIN_IMPULSE + d) * share;
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -99,10 +103,12 @@ FN void pass_change(const Robot *a, int b, int i, float change, float *w) {
 
 /* One sweep over the joints' limits and dry friction. */
 FN void sweep_bounds(Robot *a) {
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         float w[3], stopping[3], change[3], pass[3];
-        velocities(a, BOUND(b), BOUND_PARTS(b), BOUND_PATH(b), 1, a->y, T(W_JOINTS), w);
+        Rows rows;
+        load_rows(a, BOUND(b), &rows);
+        velocities(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, a->y, T(W_JOINTS), w);
         w_load(a, BOUND(b) + BOUND_FRICTION, 3, pass);
         for (int i = 0; i < 3; i++)
             stopping[i] = nfma(w[i], W(BOUND_ROW(b, i) + INVERSE), W(BOUND_ROW(b, i) + FRICTION_IMPULSE));
@@ -124,31 +130,33 @@ FN void sweep_bounds(Robot *a) {
                 stopping[2] = nfma(change[1], pass[2], stopping[2]);
             }
         }
-        apply_rows(a, BOUND(b), BOUND_PARTS(b), BOUND_PATH(b), 1, change, a->y, T(W_JOINTS));
+        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, change, a->y, T(W_JOINTS));
     }
 }
 
 /* One sweep over joint limits alone. Returns the largest change of a velocity. */
 CALLED float sweep_limits(Robot *a, int pushing, float *y, int joints) {
     float most = 0.0f;
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_LIMITS(b)) continue;
         float w[3], change[3];
-        velocities(a, BOUND(b), BOUND_PARTS(b), BOUND_PATH(b), 1, y, joints, w);
+        Rows rows;
+        load_rows(a, BOUND(b), &rows);
+        velocities(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, y, joints, w);
         for (int i = 0; i < 3; i++) {
             int row = BOUND_ROW(b, i), near = NEAR_LIMIT(b, i);
             change[i] = pushing ? apply_push(a, row, near, w[i]) : apply_limit(a, row, near, w[i]);
             most = max_(most, fabsf(change[i] * W(row + DIAGONAL)));
             pass_change(a, b, i, change[i], w);
         }
-        apply_rows(a, BOUND(b), BOUND_PARTS(b), BOUND_PATH(b), 1, change, y, joints);
+        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, change, y, joints);
     }
     return most;
 }
 
 /* Sweeps over joint limits alone until none changes a velocity. */
 CALLED void settle_limits(Robot *a, int pushing, float *y, int joints) {
-    for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
+    ROLLED for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
         if (!(TC(LIMIT_TOLERANCE) < sweep_limits(a, pushing, y, joints))) break;
 }
 
@@ -173,7 +181,7 @@ CALLED void sliding(float mass, float w1, float w2, float i1, float i2, float bo
 
 /* One regular sweep over the contacts: normals and friction. */
 FN void sweep_contacts(Robot *a) {
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         float friction[2], old[3], w[3], inverse[3], pass[3], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
@@ -181,7 +189,9 @@ FN void sweep_contacts(Robot *a) {
         w_load(a, row + ROW_INVERSE, 3, inverse);
         w_load(a, row + ROW_STICKING, 3, pass);
         float at_rest = nfma(fma_(W(row + ROW_SOFTNESS), old[0], -W(row + ROW_TARGET)), inverse[0], old[0]);
-        velocities(a, row, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
+        Rows rows;
+        load_rows(a, row, &rows);
+        velocities(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
         float normal = max_(nfma(w[0], inverse[0], at_rest), 0.0f);
         float dn = normal - old[0];
         /* the point sticks if the impulse that stops it is inside the disc of the static coefficient */
@@ -196,13 +206,13 @@ FN void sweep_contacts(Robot *a) {
         W(row + ROW_IMPULSE) = normal;
         W(row + ROW_IMPULSE + 1) = new1;
         W(row + ROW_IMPULSE + 2) = new2;
-        apply_rows(a, row, ROW_PARTS(i), ROW_PATH(i), 0, change, a->y, T(W_JOINTS));
+        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, change, a->y, T(W_JOINTS));
     }
 }
 
 /* One sweep over torsional and rolling friction. */
 FN void sweep_spins(Robot *a) {
-    for (int i = 0; i < a->num_spins; i++) {
+    ROLLED for (int i = 0; i < a->num_spins; i++) {
         int spin = SPIN(i), contact = ROW_CONTACT(i), path = ROW_PATH(i);
         float torsional = P(T(P_TORSIONAL_FRICTION)), rolling = P(T(P_ROLLING_FRICTION));
         if (T(HAS_SURFACES)) {
@@ -214,10 +224,12 @@ FN void sweep_spins(Robot *a) {
         w_load(a, spin + SPIN_IMPULSE, 3, old);
         w_load(a, spin + ROW_INVERSE, 3, inverse);
         copy(now, old, 3);
+        Rows rows;
         if (T(FRICTION) == 2) {
             float w[3], s[2];
             w_load(a, spin + ROW_COUPLING, 3, coupling);
-            velocities(a, spin, SPIN_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
+    load_rows(a, spin, &rows);
+            velocities(a, &rows, SPIN_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
             now[0] = clamp_(nfma(w[0], inverse[0], old[0]), -bound, bound);
             float turned = now[0] - old[0];
             float w1 = fma_(coupling[0], turned, w[1]), w2 = fma_(coupling[1], turned, w[2]);
@@ -235,7 +247,7 @@ FN void sweep_spins(Robot *a) {
         sub(now, old, change);
         w_store(a, spin + SPIN_IMPULSE, 3, now);
         if (T(FRICTION) == 2)
-            apply_rows(a, spin, SPIN_PARTS(i), path, 0, change, a->y, T(W_JOINTS));
+            apply_rows(a, &rows, SPIN_PARTS(i), path, 0, change, a->y, T(W_JOINTS));
         else
             apply_first(a, spin, SPIN_PARTS(i), path, change[0], a->y, T(W_JOINTS));
     }
@@ -244,7 +256,7 @@ FN void sweep_spins(Robot *a) {
 /* Whether another sweep would change the velocity of a contact by more than the settings allow. */
 FN int unsettled(const Robot *a) {
     float beyond = 0.0f;
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         float w = first_velocity(a, row, ROW_PARTS(i), ROW_PATH(i), a->y, T(W_JOINTS));
         float old = W(row + ROW_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_TARGET));
@@ -257,7 +269,7 @@ FN int unsettled(const Robot *a) {
 
 /* One sweep over contacts that regular sweeps have not settled. */
 FN void sweep_jammed(Robot *a) {
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         float friction[2], old[3], w[3], c[3], inverse[3], across[2], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
@@ -265,7 +277,9 @@ FN void sweep_jammed(Robot *a) {
         w_load(a, row + ROW_COUPLING, 3, c);
         w_load(a, row + ROW_INVERSE, 3, inverse);
         w_load(a, row + ROW_ACROSS, 2, across);
-        velocities(a, row, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
+        Rows rows;
+        load_rows(a, row, &rows);
+        velocities(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
         float square = fma_(old[1], old[1], old[2] * old[2]), bound = friction[1] * old[0];
         bound = bound * bound;
         int at_bound = (bound * TC(LEAST_BOUND) < square) & (square < bound * TC(MOST_BOUND));
@@ -292,13 +306,13 @@ FN void sweep_jammed(Robot *a) {
         float now[3] = {normal, slides ? s[0] : t1, slides ? s[1] : t2}, moved[3];
         w_store(a, row + ROW_IMPULSE, 3, now);
         sub(now, old, moved);
-        apply_rows(a, row, ROW_PARTS(i), ROW_PATH(i), 0, moved, a->y, T(W_JOINTS));
+        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, moved, a->y, T(W_JOINTS));
     }
 }
 
 /* Marks the bounds that sweeps look at. */
 FN void mark_active(Robot *a) {
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int active = 0;
         for (int i = 0; i < BLOCK; i++) {
             if (NEAR_LIMIT(b, i)) active = 1;
@@ -311,13 +325,13 @@ FN void mark_active(Robot *a) {
 /* Keeps the sparse velocity in the memory of the moved one. */
 FN void keep_velocity(Robot *a) {
     copy(a->moved, a->y, 6);
-    for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
+    ROLLED for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
 }
 
 /* Whether the velocity differs from the one that was kept by more than the settings allow. */
 FN int changed(const Robot *a) {
     float energy = 0.0f;
-    for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) {
+    ROLLED for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) {
         float change = W(T(W_JOINTS) + k) - W(T(W_MOVED) + k);
         energy = fma_(change, change, energy);
     }
@@ -332,9 +346,9 @@ FN int changed(const Robot *a) {
 FN void push_out(Robot *a) {
     int joints = T(W_MOVED);
     mark_active(a);
-    for (int sweep = 0; sweep < T(PUSH_SWEEPS); sweep++) {
+    ROLLED for (int sweep = 0; sweep < T(PUSH_SWEEPS); sweep++) {
         float most = 0.0f;
-        for (int i = 0; i < a->num_contacts; i++) {
+        ROLLED for (int i = 0; i < a->num_contacts; i++) {
             int row = ROW(i);
             float w = first_velocity(a, row, ROW_PARTS(i), ROW_PATH(i), a->moved, joints);
             float old = W(row + ROW_PUSH_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_PUSH));
@@ -352,7 +366,7 @@ FN void push_out(Robot *a) {
 /* Solves the constraints. */
 FN void solve(Robot *a) {
     warm_start(a);
-    for (int sweep = 1; sweep <= T(ITERATIONS); sweep++) {
+    ROLLED for (int sweep = 1; sweep <= T(ITERATIONS); sweep++) {
         int measures = T(MEASURES) && T(CHECK_INTERVAL) > 0 && sweep % T(CHECK_INTERVAL) == 0 && sweep < T(ITERATIONS);
         if (measures) keep_velocity(a);
         sweep_bounds(a);
@@ -363,10 +377,10 @@ FN void solve(Robot *a) {
             mark_active(a);
         }
     }
-    for (int round = 0; round <= T(MAX_EXTRA_ROUNDS); round++) {
+    ROLLED for (int round = 0; round <= T(MAX_EXTRA_ROUNDS); round++) {
         if (round > 0) {
             int sweeps = T(ITERATIONS) < T(SWEEPS_PER_ROUND) ? T(ITERATIONS) : T(SWEEPS_PER_ROUND);
-            for (int sweep = 0; sweep < sweeps; sweep++) {
+            ROLLED for (int sweep = 0; sweep < sweeps; sweep++) {
                 sweep_bounds(a);
                 sweep_spins(a);
                 sweep_jammed(a);

@@ -7,10 +7,10 @@
 
 /* Selects the position target that each actuator sees: the one from `delay` physics steps ago. */
 FN void select_targets(Robot *a, int substep) {
-    for (int j = 0; j < T(JOINTS); j++) {
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
         float target = D(T(D_TARGET) + j);
         if (T(HAS_DELAY)) {
-            for (int age = 1; age < T(AGES); age++) {
+            ROLLED for (int age = 1; age < T(AGES); age++) {
                 float from = (float)(substep + (age - 1) * T(DECIMATION)) + 0.5f;
                 if (from < D(T(D_DELAY) + j)) target = D(T(D_TARGET) + age * T(JOINTS) + j);
             }
@@ -35,13 +35,13 @@ FN float table_limit(const float *table, int length, float position) {
 /* PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit. */
 FN void actuate(Robot *a) {
     float dt = TC(DT), look_ahead = dt * TC(LOOK_AHEAD), share = dt * TC(IMPLICIT_STIFFNESS);
-    for (int j = 0; j < T(JOINTS); j++) {
-        int joint = T(T_JOINT) + j * JOINT_SIZE, explicit_gains = T(joint + 3), table = T(joint + 4);
+    BY_THREE for (int j = 0; j < T(JOINTS); j++) {
+        int joint = T(T_JOINT) + j * JOINT_SIZE, explicit_gains = L(joint + 3), table = L(joint + 4);
         float q = S(T(S_JOINT) + j), v = S(T(S_JOINT_VELOCITY) + j);
         float kp = P(T(P_STIFFNESS) + j), kd = P(T(P_DAMPING) + j), ahead = explicit_gains ? 0.0f : look_ahead;
         float spring = fma_(kp, nfma(v, ahead, W(T(W_TARGET) + j) - q), -(kd * v));
         float wanted = spring + D(T(D_FEEDFORWARD) + j), limit = P(T(P_EFFORT_LIMIT) + j);
-        if (table) limit = limit * table_limit(a->c + table, T(joint + 5), q);
+        if (table) limit = limit * table_limit(C(table), L(joint + 5), q);
         float stall = P(T(P_SATURATION_EFFORT) + j), speed = v / P(T(P_MOTOR_VELOCITY_LIMIT) + j);
         float most = clamp_(stall * (1.0f - speed), 0.0f, limit);
         float least = clamp_(stall * (-1.0f - speed), -limit, 0.0f);
@@ -54,8 +54,8 @@ FN void actuate(Robot *a) {
 
 /* Takes the forces on links from outside off the bias forces. */
 FN void add_link_forces(Robot *a) {
-    for (int f = 0; f < T(LINK_FORCES); f++) {
-        int link = T(T(T_FORCE) + 2 * f), in_world = T(T(T_FORCE) + 2 * f + 1);
+    ROLLED for (int f = 0; f < T(LINK_FORCES); f++) {
+        int link = L(T(T_FORCE) + 2 * f), in_world = L(T(T_FORCE) + 2 * f + 1);
         float x[LINK_FORCE_SIZE], r[9], at[3], lin[3], torque[3], wrench[6], axis[6];
         d_load(a, T(D_LINK_FORCE) + f * LINK_FORCE_SIZE, LINK_FORCE_SIZE, x);
         if (!(0.0f < x[0])) continue;
@@ -74,7 +74,7 @@ FN void add_link_forces(Robot *a) {
         add(torque, wrench, wrench);
         copy(wrench + 3, lin, 3);
         for (int k = 0; k < 6; k++) a->bias_base[k] = a->bias_base[k] - wrench[k];
-        for (int carrier = link; carrier > 0; carrier = T(T(T_JOINT) + (carrier - 1) * JOINT_SIZE)) {
+        ROLLED for (int carrier = link; carrier > 0; carrier = L(T(T_JOINT) + (carrier - 1) * JOINT_SIZE)) {
             w_load(a, LINK(carrier) + LINK_AXIS, 6, axis);
             W(T(W_BIAS) + carrier - 1) = W(T(W_BIAS) + carrier - 1) - dot6(axis, wrench);
         }
@@ -84,10 +84,11 @@ FN void add_link_forces(Robot *a) {
 /* Damping of joints and the implicit shares of springs and actuators; then the factors. */
 FN void factorise_step(Robot *a) {
     float dt = TC(DT), share = dt * dt * TC(SPRING_STIFFNESS);
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int block = BLOCK_AT(b);
-        for (int place = 0; place < T(block + 3); place++) {
-            int j = T(block + place), at = FACTOR(b) + place;
+        for (int place = 0; place < BLOCK; place++) {
+            if (place >= L(block + 3)) continue;
+            int j = L(block + place), at = FACTOR(b) + place;
             float slope = W(T(W_SLOPE) + j) + P(T(P_JOINT_DAMPING) + j);
             float diagonal = fma_(slope, dt, W(at));
             if (T(HAS_SPRINGS)) diagonal = fma_(P(T(P_SPRING) + 2 * j), share, diagonal);
@@ -102,12 +103,12 @@ FN void factorise_step(Robot *a) {
 FN void find_free_velocity(Robot *a, float *free_base) {
     float dt = TC(DT), force[3], torque[3], com[3], t[3], impulse[6];
     int rhs = T(W_RHS), joints = T(W_JOINTS), moved = T(W_MOVED);
-    for (int b = 0; b < T(BLOCKS); b++) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int block = BLOCK_AT(b);
         for (int place = 0; place < BLOCK; place++) {
             float x = 0.0f, velocity = 0.0f;
-            if (place < T(block + 3)) {
-                int j = T(block + place);
+            if (place < L(block + 3)) {
+                int j = L(block + place);
                 velocity = S(T(S_JOINT_VELOCITY) + j);
                 float passive = P(T(P_JOINT_DAMPING) + j) * velocity;
                 x = (W(T(W_EFFORT) + j) - passive - W(T(W_BIAS) + j)) * dt;
@@ -136,7 +137,7 @@ FN void find_free_velocity(Robot *a, float *free_base) {
     for (int r = 0; r < 6; r++) a->y[r] = T(FLOATING) ? a->velocity_base[r] : 0.0f;
     to_sparse(a, a->y, joints);
     for (int r = 0; r < 6; r++) free_base[r] = a->moved[r] = a->y[r] + impulse[r];
-    for (int k = 0; k < BLOCK * T(BLOCKS); k++) {
+    ROLLED for (int k = 0; k < BLOCK * T(BLOCKS); k++) {
         float x = W(joints + k) + W(rhs + k);
         W(moved + k) = x;
         W(rhs + k) = x;
@@ -149,11 +150,11 @@ FN void find_free_velocity(Robot *a, float *free_base) {
 FN int contact_bodies(const Robot *a, int i, int *bodies) {
     int pair = ROW_PAIR(i);
     if (pair < 0) {
-        bodies[0] = T(T(T_CONTACT) + ROW_CONTACT(i) * CONTACT_SIZE + 1);
+        bodies[0] = L(T(T_CONTACT) + ROW_CONTACT(i) * CONTACT_SIZE + 1);
         return 1;
     }
-    bodies[0] = T(T(T_PAIR) + pair * PAIR_SIZE + 2);
-    bodies[1] = T(T(T_PAIR) + pair * PAIR_SIZE + 3);
+    bodies[0] = L(T(T_PAIR) + pair * PAIR_SIZE + 2);
+    bodies[1] = L(T(T_PAIR) + pair * PAIR_SIZE + 3);
     return 2;
 }
 
@@ -161,34 +162,34 @@ FN int contact_bodies(const Robot *a, int i, int *bodies) {
 FN void report_contacts(Robot *a, int substep, int last) {
     float inverse_dt = 1.0f / TC(DT), impulse[3];
     int normal_force = T(R_NORMAL_FORCE) + substep * T(BODIES);
-    for (int k = 0; k < T(BODIES); k++) R(normal_force + k) = 0.0f;
-    for (int b = 0; b < T(BLOCKS); b++) {
-        for (int i = 0; i < T(BLOCK_AT(b) + 3); i++) {
+    ROLLED for (int k = 0; k < T(BODIES); k++) R(normal_force + k) = 0.0f;
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+        ROLLED for (int i = 0; i < L(BLOCK_AT(b) + 3); i++) {
             int takes_part = NEAR_LIMIT(b, i) | HAS_FRICTION(b, i);
-            S(T(S_BOUND) + T(BLOCK_AT(b) + i)) = takes_part ? bound_impulse(a, b, i) + 0.0f : 0.0f;
+            S(T(S_BOUND) + L(BLOCK_AT(b) + i)) = takes_part ? bound_impulse(a, b, i) + 0.0f : 0.0f;
         }
     }
     int list = T(I_PRESSING);
     I(list) = a->num_contacts + a->num_spins;
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int bodies[2], num = contact_bodies(a, i, bodies);
         I(list + 1 + i) = ROW_CONTACT(i);
         for (int d = 0; d < 3; d++) impulse[d] = W(ROW(i) + ROW_IMPULSE + d) + 0.0f;
         w_store(a, T(W_PRESSING) + 3 * i, 3, impulse);
-        for (int k = 0; k < num; k++) {
+        ROLLED for (int k = 0; k < num; k++) {
             R(normal_force + bodies[k]) = fma_(impulse[0], inverse_dt, R(normal_force + bodies[k]));
             TOUCHED(bodies[k]) = 1;
         }
     }
-    for (int i = 0; i < a->num_spins; i++) {
+    ROLLED for (int i = 0; i < a->num_spins; i++) {
         int k = a->num_contacts + i;
         I(list + 1 + k) = T(ROWS) + ROW_CONTACT(i);
         for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * k + d) = W(SPIN(i) + SPIN_IMPULSE + d) + 0.0f;
     }
     if (!last) return;
-    for (int k = 0; k < 3 * T(BODIES); k++) R(T(R_BODY_FORCE) + k) = 0.0f;
-    for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) W(T(W_DEMANDS) + k) = 0.0f;
-    for (int i = 0; i < a->num_contacts; i++) {
+    ROLLED for (int k = 0; k < 3 * T(BODIES); k++) R(T(R_BODY_FORCE) + k) = 0.0f;
+    ROLLED for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) W(T(W_DEMANDS) + k) = 0.0f;
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int bodies[2], num = contact_bodies(a, i, bodies);
         float f[3], sum[3], frame[9], axis[3];
         for (int d = 0; d < 3; d++) {
@@ -197,10 +198,10 @@ FN void report_contacts(Robot *a, int substep, int last) {
                 w_load(a, ROW(i) + ROW_FRAME + 3 * d, 3, axis);
                 mul_vec(a->base_rotation, axis, frame + 3 * d);
             } else {
-                copy(frame + 3 * d, a->c + PLANE + 3 * d, 3);
+                copy(frame + 3 * d, C(PLANE + 3 * d), 3);
             }
         }
-        for (int k = 0; k < num; k++) {
+        ROLLED for (int k = 0; k < num; k++) {
             int at = T(R_BODY_FORCE) + 3 * bodies[k];
             if (k == 1) scale(f, -1.0f, f);
             for (int d = 0; d < 3; d++) sum[d] = R(at + d);
@@ -209,7 +210,7 @@ FN void report_contacts(Robot *a, int substep, int last) {
             W(T(W_DEMANDS) + bodies[k]) = 1.0f;
         }
     }
-    for (int b = 0; b < T(BLOCKS); b++)
+    ROLLED for (int b = 0; b < T(BLOCKS); b++)
         if (BLOCK_LIMITS(b)) W(T(W_DEMANDS) + T(BODIES) + b) = 1.0f;
     W(T(W_DEMANDS) + T(BODIES) + T(BLOCKS)) = 0.0f < a->violation ? 1.0f : 0.0f;
 }
@@ -225,9 +226,10 @@ FN void integrate(Robot *a) {
         copy(a->moved, a->y, 6);
         moved = joints;
     }
-    for (int b = 0; b < T(BLOCKS); b++) {
-        for (int place = 0; place < T(BLOCK_AT(b) + 3); place++) {
-            int j = T(BLOCK_AT(b) + place);
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+        for (int place = 0; place < BLOCK; place++) {
+            if (place >= L(BLOCK_AT(b) + 3)) continue;
+            int j = L(BLOCK_AT(b) + place);
             float now = W(joints + 3 * b + place) + 0.0f, change = now - S(T(S_JOINT_VELOCITY) + j);
             R(T(R_EFFORT) + j) = nfma(W(T(W_SLOPE) + j), change, W(T(W_EFFORT) + j));
             R(T(R_ACCELERATION) + j) = change / dt;
@@ -267,8 +269,8 @@ FN void report_sites(Robot *a) {
     mul_vec_transposed(rotation, t, base + 3);
     forward_kinematics(a, base);
     s_load(a, T(S_POSITION), 3, position);
-    for (int i = 0; i < T(SITES); i++) {
-        int link = LINK(T(T(T_SITE) + i));
+    ROLLED for (int i = 0; i < T(SITES); i++) {
+        int link = LINK(L(T(T_SITE) + i));
         w_load(a, link, 9, r);
         w_load(a, link + LINK_POSITION, 3, at);
         w_load(a, link + LINK_VELOCITY, 6, motion);
@@ -289,7 +291,7 @@ FN void physics_step(Robot *a, int substep) {
     float q[4], gravity[3], free_base[6];
     s_load(a, T(S_ROTATION), 4, q);
     quat_to_mat(q, a->base_rotation);
-    mul_vec_transposed(a->base_rotation, a->c + GRAVITY, gravity);
+    mul_vec_transposed(a->base_rotation, C(GRAVITY), gravity);
     equations_of_motion(a, gravity);
     add_link_forces(a);
     actuate(a);
@@ -298,7 +300,7 @@ FN void physics_step(Robot *a, int substep) {
     build_ground_contacts(a, free_base);
     build_pairs(a);
     copy(a->y, a->moved, 6);
-    for (int k = 0; k < BLOCK * T(BLOCKS); k++) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
+    ROLLED for (int k = 0; k < BLOCK * T(BLOCKS); k++) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
     build_joint_bounds(a);
     solve(a);
     report_contacts(a, substep, substep + 1 == T(DECIMATION));
@@ -310,7 +312,7 @@ FN void take_pressing(Robot *a, int capacity) {
     int count = (int)S(T(S_PRESSING)), list = T(I_PRESSING);
     count = count < capacity ? count : capacity;
     I(list) = count;
-    for (int i = 0; i < count; i++) {
+    ROLLED for (int i = 0; i < count; i++) {
         int at = T(S_PRESSING) + 1 + LISTED_SIZE * i;
         I(list + 1 + i) = (int)S(at);
         for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * i + d) = S(at + 1 + d);
@@ -321,7 +323,7 @@ FN void take_pressing(Robot *a, int capacity) {
  * number. */
 FN void list_pressing(Robot *a, int capacity) {
     int count = 0, list = T(I_PRESSING);
-    for (int i = 0; i < I(list); i++) {
+    ROLLED for (int i = 0; i < I(list); i++) {
         float impulse[3];
         w_load(a, T(W_PRESSING) + 3 * i, 3, impulse);
         if (impulse[0] == 0.0f && impulse[1] == 0.0f && impulse[2] == 0.0f) continue;
@@ -338,8 +340,8 @@ FN void list_pressing(Robot *a, int capacity) {
 /* The physics steps `first` to `end` of a control step. */
 FN void control_step(Robot *a, int first, int end) {
     if (first == 0)
-        for (int body = 0; body < T(BODIES); body++) TOUCHED(body) = 0;
-    for (int substep = first; substep < end; substep++) {
+        ROLLED for (int body = 0; body < T(BODIES); body++) TOUCHED(body) = 0;
+    ROLLED for (int substep = first; substep < end; substep++) {
         select_targets(a, substep);
         physics_step(a, substep);
     }

@@ -54,6 +54,7 @@ enum Number {
 /* Sizes of the entries of lists. */
 enum Size {
     TILE = 32,
+    LEAST_LANES = 4,  /* fewest robots of a warp */
     LISTED_SIZE = 4,  /* contact, impulse */
     JOINT_SIZE = 6,   /* parent, slides, axis (3: any), explicit, effort table (0: none), its length */
     AXIS_SIZE = 4,    /* direction, sign */
@@ -92,19 +93,32 @@ typedef struct {
     const float *d;   /* drive */
     const float *grid; /* heights [x][y], then the squares' largest heights */
     int *wi;          /* integers of the workspace */
-    /* numbers of the present physics step that every part reads */
-    float base_rotation[9], bias_base[6], velocity_base[6];
-    float g[36], root[12]; /* base block of the factor, and roots of its diagonal */
-    float y[6], moved[6];  /* base's part of the sparse velocity */
+    /* numbers of the present physics step that every part reads: arrays apart from the pointers, so
+     * that a compiler keeps both in registers */
+    float *base_rotation, *bias_base, *velocity_base;
+    float *g, *root;  /* base block of the factor (36), and roots of its diagonal (12) */
+    float *y, *moved; /* base's part of the sparse velocity */
     float violation, compliance;
     int num_contacts, num_spins;
 } Robot;
 
-#define T(k) (a->t[k])
-#define TC(k) (a->c[k])
-#define P(k) (a->p[(k) * a->ps])
+/* T and TC: a size or a setting, L and C: an entry of the tables' lists. With the tables of one
+ * morphology in front of the text, all sizes are constants, and absent features take no code. */
+#ifdef POLYPOD_TABLES
+#include "morphology.h"
+#define T(k) INTEGER_##k
+#define TC(k) NUMBER_##k
+#define L(k) INTEGERS[k]
+#define C(k) (NUMBERS + (k))
+#else
+#define T(k) READ(a->t + (k))
+#define TC(k) READ(a->c + (k))
+#define L(k) READ(a->t + (k))
+#define C(k) (a->c + (k))
+#endif
+#define P(k) READ(a->p + (k) * a->ps)
 #define S(k) (a->s[(k) * TILE])
-#define D(k) (a->d[(k) * TILE])
+#define D(k) READ(a->d + (k) * TILE)
 #define R(k) (a->r[(k) * TILE])
 #define W(k) (a->w[(k) * TILE])
 #define I(k) (a->wi[(k) * TILE])
@@ -131,7 +145,7 @@ FN void w_store(Robot *a, int at, int n, const float *x) {
 #define COUPLING(c) (T(W_COUPLING) + (c) * 9)
 #define ROOT(b) (T(W_ROOT) + (b) * 6)
 /* a path: its number of parts, and the first of them */
-#define PATH_PARTS(path) (T(T(T_PATH) + 2 * (path)))
-#define PATH_FIRST(path) (T(T(T_PATH) + 2 * (path) + 1))
+#define PATH_PARTS(path) (L(T(T_PATH) + 2 * (path)))
+#define PATH_FIRST(path) (L(T(T_PATH) + 2 * (path) + 1))
 #define PART(path, i) (PATH_FIRST(path) + (i) * PART_SIZE)
 #endif

@@ -32,11 +32,11 @@ FN int split_place(float x, int points, float *within) {
 }
 
 CALLED void terrain_sample(const Robot *a, float x, float y, Sample *o) {
-    int columns = T(GRID_SIZE + 1);
+    int columns = L(GRID_SIZE + 1);
     x = x + D(T(D_ORIGIN));
     y = y + D(T(D_ORIGIN) + 1);
     int i = split_place((x - TC(GRID_ORIGIN)) / TC(GRID_CELL), T(GRID_SIZE), &o->u);
-    int j = split_place((y - TC(GRID_ORIGIN + 1)) / TC(GRID_CELL), columns, &o->v);
+    int j = split_place((y - C(GRID_ORIGIN + 1)[0]) / TC(GRID_CELL), columns, &o->v);
     const float *cell = a->grid + (size_t)i * columns + j;
     o->a = cell[0];
     o->b = cell[1];
@@ -86,21 +86,21 @@ CALLED float terrain_gap(const Robot *a, const float *place, float radius, float
 }
 
 FN int square_of(const Robot *a, int squares, float x, int axis) {
-    float points = not_below_zero((x - TC(GRID_ORIGIN + axis)) / TC(GRID_CELL));
-    float last = (float)(T(GRID_SIZE + axis) - 1);
-    float square = floor_((points < last ? points : last) / (float)T(squares));
-    last = (float)(T(squares + 1 + axis) - 1);
+    float points = not_below_zero((x - C(GRID_ORIGIN + axis)[0]) / TC(GRID_CELL));
+    float last = (float)(L(GRID_SIZE + axis) - 1);
+    float square = floor_((points < last ? points : last) / (float)L(squares));
+    last = (float)(L(squares + 1 + axis) - 1);
     return (int)(square < last ? square : last);
 }
 
 /* No height within `reach` of a place of the env is larger than this, m: of links (0), candidates (1). */
 CALLED float terrain_bound(const Robot *a, int near, float x, float y, float reach) {
     int squares = GRID_SQUARES + 4 * near;
-    float far = ((float)T(squares) - 1.0f) * TC(GRID_CELL);
+    float far = ((float)L(squares) - 1.0f) * TC(GRID_CELL);
     if (reach > far) return TC(GRID_HIGHEST);
     x = x + D(T(D_ORIGIN));
     y = y + D(T(D_ORIGIN) + 1);
-    return a->grid[T(squares + 3) + square_of(a, squares, x, 0) * T(squares + 2) + square_of(a, squares, y, 1)];
+    return a->grid[L(squares + 3) + square_of(a, squares, x, 0) * L(squares + 2) + square_of(a, squares, y, 1)];
 }
 
 /* World position of a point in base axes; `level` holds the world's z, x and y in base axes. */

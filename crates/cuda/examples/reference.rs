@@ -18,7 +18,7 @@ use polypod::dynamics::{
     ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, Parameters, Report, State,
     StepSettings, Terrain, Workspace,
 };
-use polypod_cuda::{Block, Parts, Scene};
+use polypod_cuda::{Block, Heights, Parts, Scene};
 use scenes::{
     Random, Robot, library, random_state, randomise_drive, reference_robots, rough_ground, with_springs_on_a_slope,
 };
@@ -91,7 +91,8 @@ impl Run<'_> {
     ) -> io::Result<()> {
         let Robot { topology, nominal, .. } = self.robot;
         let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact: self.contact };
-        let scene = Scene { terrain: self.terrain, ages: 2, link_forces: self.link_forces, ..Scene::default() };
+        let heights = self.terrain.map(Heights::new);
+        let scene = Scene { terrain: heights.as_ref(), ages: 2, link_forces: self.link_forces, ..Scene::default() };
         let mut block = Block::new(topology, &settings, &scene, ENVS).map_err(io::Error::other)?;
         block.share_parameters(nominal);
         let mut parameters: Vec<Parameters<f32>> = vec![nominal.clone(); ENVS];

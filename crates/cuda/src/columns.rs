@@ -1,6 +1,7 @@
 //! Robots of one morphology in tiles of columns, `[tile][number][robot of the tile]`, and the way
 //! between them and the types of `polypod-dynamics`.
 
+use std::hint::black_box;
 use std::ops::Range;
 
 use polypod_dynamics::{Drive, Parameters, Report, State, StepSettings, Topology};
@@ -37,6 +38,12 @@ impl Shape {
         let tables = Tables::new(topology, settings, scene)?;
         let capacity = capacity.min(tables.sizes.impulses);
         Ok(Self { tables, robots: robots.max(1), capacity })
+    }
+
+    /// The same shape with more or less room in its lists.
+    #[must_use]
+    pub fn with_capacity(&self, capacity: usize) -> Self {
+        Self { capacity: capacity.min(self.tables.sizes.impulses), ..self.clone() }
     }
 
     /// Number of tiles.
@@ -96,6 +103,9 @@ impl Shape {
         write(&mut all[self.parameters_of_tile(robot / TILE)][robot % TILE..], parameters);
     }
 }
+
+/// Numbers of a line of the cache.
+const NUMBERS_OF_LINE: usize = 16;
 
 /// Numbers of a robot that begin in the first place of these columns.
 #[inline]
@@ -161,6 +171,24 @@ impl<'a> Columns<'a> {
     #[inline]
     fn report_place(&self, robot: usize, name: usize, at: usize) -> usize {
         (robot / TILE * self.shape.tables.sizes.report + self.shape.tables.at(name) + at) * TILE + robot % TILE
+    }
+
+    /// Brings the tile that begins with a robot into the cache, for writing or for reading. The
+    /// processor foresees lines that are read in their order, and not those of a robot's numbers.
+    #[inline]
+    pub fn foresee(&self, robot: usize, writes: bool) {
+        if !robot.is_multiple_of(TILE) {
+            return;
+        }
+        let (outer, size) = if writes {
+            (&*self.drive, self.shape.tables.sizes.drive)
+        } else {
+            (&*self.report, self.shape.tables.sizes.report)
+        };
+        for (numbers, size) in [(outer, size), (&*self.state, self.shape.state_size())] {
+            let tile = numbers.iter().skip(robot * size).take(TILE * size);
+            black_box(tile.step_by(NUMBERS_OF_LINE).fold(0, |all, number| all ^ number.to_bits()));
+        }
     }
 
     /// Writes a robot's motion.

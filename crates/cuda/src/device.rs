@@ -107,6 +107,11 @@ pub trait DeviceBlock: Send + Sync {
     /// A device that is lost.
     fn finish(&mut self) -> Result<(), DeviceError>;
 
+    /// Whether steps are as fast as they will be; asking begins what there is to prepare.
+    fn is_ready(&mut self) -> bool {
+        true
+    }
+
     /// Seconds of upload, kernel and download of the last control step, where the device measures
     /// them.
     fn seconds(&self) -> Option<[f64; 3]> {

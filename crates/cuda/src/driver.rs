@@ -3,26 +3,29 @@
 
 use std::ffi::c_int;
 use std::ptr::NonNull;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use cudarc::driver::sys::{CUdeviceptr, CUevent_flags, CUresult};
+use cudarc::driver::sys::{CUdevice_attribute, CUdeviceptr, CUevent_flags, CUresult};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaFunction, CudaSlice, CudaStream, DevicePtr, DeviceRepr, DriverError, LaunchConfig,
-    PushKernelArg, result, sys,
+    CudaContext, CudaEvent, CudaSlice, CudaStream, DevicePtr, DeviceRepr, DriverError, LaunchConfig, PushKernelArg,
+    result, sys,
 };
-use cudarc::nvrtc::Ptx;
 
 use crate::columns::{Columns, ROBOTS_OF_TILE, Shape};
 use crate::device::{Device, DeviceBlock, DeviceError};
+use crate::kernels::{Kernels, Own};
 use crate::nvrtc;
 
 /// The first version of CUDA whose drivers have all functions that are called here.
 const OLDEST_CUDA: i32 = 11040;
 /// The first generation of cards that the text is compiled for.
 const OLDEST_CAPABILITY: (i32, i32) = (8, 0);
-/// Threads of a block of the kernel: a warp, so that few robots are spread over all
-/// multiprocessors.
-const THREADS: u32 = 32;
+/// Warps that a multiprocessor steps at a time.
+const WARPS_AT_A_TIME: usize = 4;
+/// Most warps that share a tile. They are a block of the kernel, for a line of memory is theirs
+/// together.
+const MOST_WARPS: usize = 4;
 /// Bytes that the context and the kernel take beyond the robots' memory.
 const RESERVED: usize = 64 << 20;
 
@@ -49,7 +52,7 @@ struct Arguments {
 // SAFETY: plain numbers, laid out as the text of the device has them
 unsafe impl DeviceRepr for Arguments {}
 
-fn call(call: &'static str) -> impl Fn(DriverError) -> DeviceError {
+pub(crate) fn call(call: &'static str) -> impl Fn(DriverError) -> DeviceError {
     move |error| {
         let text = error.error_string().map(|text| text.to_string_lossy().into_owned());
         DeviceError::Call { call, text: text.unwrap_or_else(|_| format!("error {:?}", error.0)) }
@@ -114,9 +117,14 @@ pub fn find() -> Result<Found, DeviceError> {
 /// A card with the compiled text.
 pub struct Card {
     context: Arc<CudaContext>,
-    step: CudaFunction,
+    kernels: Arc<Kernels>,
     name: String,
     timed: bool,
+    multiprocessors: usize,
+    /// Tiles of all blocks.
+    tiles: Arc<AtomicUsize>,
+    /// The ground that was placed last, which all blocks share.
+    ground: Mutex<Option<(Arc<[f32]>, Arc<CudaSlice<f32>>)>>,
 }
 
 impl Card {
@@ -126,12 +134,28 @@ impl Card {
     /// No driver or card, or too old ones; no compiler.
     pub fn open(timed: bool) -> Result<Self, DeviceError> {
         let (context, Found { name, .. }) = context()?;
-        let ptx = nvrtc::compile()?;
         // SAFETY: each block has its own stream, which orders all work on its memory
         unsafe { context.disable_event_tracking() };
-        let module = context.load_module(Ptx::from_src(ptx)).map_err(call("cuModuleLoadData"))?;
-        let step = module.load_function("polypod_control_step").map_err(call("cuModuleGetFunction"))?;
-        Ok(Self { context, step, name, timed })
+        let kernels = Arc::new(Kernels::new(&context)?);
+        let attribute = CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT;
+        let multiprocessors = context.attribute(attribute).map_err(call("cuDeviceGetAttribute"))?;
+        let multiprocessors = usize::try_from(multiprocessors).unwrap_or(1);
+        Ok(Self { context, kernels, name, timed, multiprocessors, tiles: Arc::default(), ground: Mutex::default() })
+    }
+}
+
+impl Card {
+    /// The heights of the ground on the card.
+    fn grid(&self, heights: &Arc<[f32]>, stream: &Arc<CudaStream>) -> Result<Arc<CudaSlice<f32>>, DriverError> {
+        let mut ground = self.ground.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, placed)) = ground.as_ref().filter(|(known, _)| Arc::ptr_eq(known, heights)) {
+            return Ok(placed.clone());
+        }
+        let numbers: &[f32] = if heights.is_empty() { &[0.0] } else { heights };
+        let placed = Arc::new(stream.clone_htod(numbers)?);
+        stream.synchronize()?;
+        *ground = Some((heights.clone(), placed.clone()));
+        Ok(placed)
     }
 }
 
@@ -156,8 +180,7 @@ impl Device for Card {
         let stream = self.context.new_stream().map_err(call("cuStreamCreate"))?;
         let integers = stream.clone_htod(&shape.tables.integers).map_err(memory)?;
         let numbers = stream.clone_htod(&shape.tables.numbers).map_err(memory)?;
-        let grid: &[f32] = if shape.tables.grid.is_empty() { &[0.0] } else { &shape.tables.grid };
-        let grid = stream.clone_htod(grid).map_err(memory)?;
+        let grid = self.grid(&shape.tables.grid, &stream).map_err(memory)?;
         let host = Pinned::new(&self.context, exchanged).map_err(memory)?;
         let events = if self.timed {
             let event = || self.context.new_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
@@ -176,11 +199,16 @@ impl Device for Card {
             work: stream.alloc_zeros(work.max(1)).map_err(memory)?,
             work_integers: stream.alloc_zeros(work_integers.max(1)).map_err(memory)?,
             host,
-            step: self.step.clone(),
+            kernels: self.kernels.clone(),
+            warps: WARPS_AT_A_TIME * self.multiprocessors,
+            tiles: self.tiles.clone(),
+            own: self.kernels.of_new_block(&shape.tables),
+            steps: 0,
             stream,
             events,
             shape,
         };
+        self.tiles.fetch_add(block.shape.tiles(), Ordering::Relaxed);
         block.stream.synchronize().map_err(call("cuStreamSynchronize"))?;
         Ok(Box::new(block))
     }
@@ -233,14 +261,21 @@ struct CardBlock {
     shape: Shape,
     integers: CudaSlice<i32>,
     numbers: CudaSlice<f32>,
-    grid: CudaSlice<f32>,
+    grid: Arc<CudaSlice<f32>>,
     parameters: CudaSlice<f32>,
     shared: bool,
     exchanged: CudaSlice<f32>,
     work: CudaSlice<f32>,
     work_integers: CudaSlice<i32>,
     host: Pinned,
-    step: CudaFunction,
+    kernels: Arc<Kernels>,
+    /// Warps that the card steps at a time.
+    warps: usize,
+    /// Tiles of all blocks.
+    tiles: Arc<AtomicUsize>,
+    own: Option<Own>,
+    /// Control steps so far.
+    steps: u32,
     stream: Arc<CudaStream>,
     /// Before the upload, the kernel and the download, and after it, where steps are measured.
     events: Vec<CudaEvent>,
@@ -248,6 +283,7 @@ struct CardBlock {
 
 impl Drop for CardBlock {
     fn drop(&mut self) {
+        self.tiles.fetch_sub(self.shape.tiles(), Ordering::Relaxed);
         // the transfers use the memory of the host
         let _ = self.stream.synchronize();
     }
@@ -256,6 +292,16 @@ impl Drop for CardBlock {
 impl CardBlock {
     fn note(&self, event: usize) -> Result<(), DeviceError> {
         self.events.get(event).map_or(Ok(()), |event| event.record(&self.stream)).map_err(call("cuEventRecord"))
+    }
+
+    /// Warps that share a tile: a robot waits for those of its warp, so that few robots take more
+    /// warps than they need.
+    fn warps_of_tile(&self) -> usize {
+        let mut warps = MOST_WARPS;
+        while warps > 1 && self.tiles.load(Ordering::Relaxed) * warps > self.warps {
+            warps /= 2;
+        }
+        warps
     }
 
     fn arguments(&self) -> Arguments {
@@ -311,6 +357,8 @@ impl DeviceBlock for CardBlock {
 
     fn start(&mut self) -> Result<(), DeviceError> {
         self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let kernel = self.kernels.for_step(&self.shape.tables, &mut self.own, self.steps)?;
+        self.steps = self.steps.saturating_add(1);
         let arguments = self.arguments();
         let [_, state, report] = self.shape.ranges();
         let (at, queue) = (arguments.drive, self.stream.cu_stream());
@@ -320,15 +368,15 @@ impl DeviceBlock for CardBlock {
         unsafe { result::memcpy_htod_async(at, &self.host.numbers()[..state.end], queue) }
             .map_err(call("cuMemcpyHtoDAsync"))?;
         self.note(1)?;
-        let blocks = (self.shape.tiles() * ROBOTS_OF_TILE).div_ceil(THREADS as usize);
+        let threads = ROBOTS_OF_TILE * self.warps_of_tile();
         let config = LaunchConfig {
-            grid_dim: (u32::try_from(blocks).unwrap_or(u32::MAX), 1, 1),
-            block_dim: (THREADS, 1, 1),
+            grid_dim: (u32::try_from(self.shape.tiles()).unwrap_or(u32::MAX), 1, 1),
+            block_dim: (threads as u32, 1, 1),
             shared_mem_bytes: 0,
         };
         // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
         // text
-        unsafe { self.stream.launch_builder(&self.step).arg(&arguments).launch(config) }
+        unsafe { self.stream.launch_builder(&kernel).arg(&arguments).launch(config) }
             .map_err(call("cuLaunchKernel"))?;
         self.note(2)?;
         let from = arguments.state;
@@ -341,6 +389,10 @@ impl DeviceBlock for CardBlock {
     fn finish(&mut self) -> Result<(), DeviceError> {
         self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
         self.stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn is_ready(&mut self) -> bool {
+        self.kernels.is_ready(&self.shape.tables, &mut self.own)
     }
 
     fn seconds(&self) -> Option<[f64; 3]> {

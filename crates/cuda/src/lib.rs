@@ -5,6 +5,8 @@
 mod columns;
 mod device;
 mod driver;
+mod heights;
+mod kernels;
 mod layout;
 mod nvrtc;
 mod tables;
@@ -12,6 +14,7 @@ mod tables;
 pub use columns::{Block, Columns, Motion, Parts, ROBOTS_OF_TILE, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError};
 pub use driver::{Card, Found, find};
+pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 

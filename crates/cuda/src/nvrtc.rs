@@ -4,6 +4,7 @@
 //! compiler of NVIDIA's. A GPU that trains has torch, and with it NVRTC.
 #![allow(unsafe_code, reason = "the border to NVRTC, which has an interface of C")]
 
+use std::collections::BTreeMap;
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -19,6 +20,10 @@ const VARIABLE: &str = "POLYPOD_NVRTC";
 /// `tools/ptx.py` compiles with the same ones and reads the result.
 const OPTIONS: [&CStr; 5] =
     [c"--gpu-architecture=compute_80", c"--fmad=false", c"--ftz=false", c"--prec-div=true", c"--prec-sqrt=true"];
+/// Option that makes it the text of the one morphology whose tables [`HEADER`] holds.
+const FOR_ONE: &CStr = c"-DPOLYPOD_TABLES";
+/// Name of the header in `device/tables.h`.
+const HEADER: &str = "morphology.h";
 /// The oldest version of PTX that knows the architecture: a driver refuses a newer one than its
 /// own.
 const VERSION: &str = ".version 7.0";
@@ -56,14 +61,17 @@ fn candidates() -> Vec<PathBuf> {
     found
 }
 
-fn open() -> Option<Library> {
+/// The library. It stays loaded, for threads that compile end at any time.
+fn library() -> Option<&'static Library> {
+    static LIBRARY: OnceLock<Option<Library>> = OnceLock::new();
     // SAFETY: the library has no initialisers that depend on this process
-    candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok())
+    let open = || candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok());
+    LIBRARY.get_or_init(open).as_ref()
 }
 
 /// Whether the library is there.
 pub fn is_present() -> bool {
-    open().is_some()
+    library().is_some()
 }
 
 type Program = *mut c_void;
@@ -110,26 +118,32 @@ impl Drop for Compilation<'_> {
     }
 }
 
-/// PTX of the text of the device. A process compiles it once.
+/// PTX of the text of the device for all morphologies, or for the one whose tables are the
+/// `header`. A process compiles each once.
 ///
 /// # Errors
 /// NVRTC is not there, or it refuses the text.
-pub fn compile() -> Result<String, DeviceError> {
-    static PTX: Mutex<Option<String>> = Mutex::new(None);
-    let mut known = PTX.lock().unwrap_or_else(PoisonError::into_inner);
-    match &*known {
-        Some(ptx) => Ok(ptx.clone()),
-        None => Ok(known.insert(compile_text()?).clone()),
+pub fn compile(header: Option<&str>) -> Result<String, DeviceError> {
+    static KNOWN: Mutex<BTreeMap<Option<String>, String>> = Mutex::new(BTreeMap::new());
+    let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let header_of = header.map(str::to_owned);
+    if let Some(ptx) = known().get(&header_of) {
+        return Ok(ptx.clone());
     }
+    let ptx = compile_text(header)?;
+    known().insert(header_of, ptx.clone());
+    Ok(ptx)
 }
 
-fn compile_text() -> Result<String, DeviceError> {
-    let library = open().ok_or(DeviceError::NoCompiler)?;
-    let mut compilation = Compilation { library: &library, program: std::ptr::null_mut() };
-    let texts = DEVICE_TEXT.map(|(name, text)| (CString::new(name), CString::new(text)));
+fn compile_text(header: Option<&str>) -> Result<String, DeviceError> {
+    let library = library().ok_or(DeviceError::NoCompiler)?;
+    let mut compilation = Compilation { library, program: std::ptr::null_mut() };
+    let texts = DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header)));
     let (mut names, mut contents) = (Vec::new(), Vec::new());
     for (name, text) in texts {
-        let (Ok(name), Ok(text)) = (name, text) else { return Err(failed("a text holds a zero")) };
+        let (Ok(name), Ok(text)) = (CString::new(name), CString::new(text)) else {
+            return Err(failed("a text holds a zero"));
+        };
         names.push(name);
         contents.push(text);
     }
@@ -144,7 +158,7 @@ fn compile_text() -> Result<String, DeviceError> {
         *const *const c_char,
     ) -> c_int;
     let mut program = std::ptr::null_mut();
-    let headers = DEVICE_TEXT.len() as c_int - 1;
+    let headers = names.len() as c_int - 1;
     // SAFETY: the first text is the program, the others are its headers; all live until the end
     let created = unsafe {
         let create = compilation.function::<Create>(c"nvrtcCreateProgram")?;
@@ -155,7 +169,8 @@ fn compile_text() -> Result<String, DeviceError> {
     if created != 0 {
         return Err(failed(format!("error {created} of nvrtcCreateProgram")));
     }
-    let options = OPTIONS.map(CStr::as_ptr);
+    let own = header.map(|_| FOR_ONE);
+    let options: Vec<_> = OPTIONS.into_iter().chain(own).map(CStr::as_ptr).collect();
     type Compile = unsafe extern "C" fn(Program, c_int, *const *const c_char) -> c_int;
     let compile = compilation.function::<Compile>(c"nvrtcCompileProgram")?;
     // SAFETY: the options are texts that end with a zero

@@ -1,16 +1,16 @@
 //! Tables that the robots of a block share: topology and settings as lists of numbers.
 
+use std::fmt::Write;
+use std::sync::Arc;
+
 use polypod_dynamics::math::{add_scaled, cross, dot, scale};
 use polypod_dynamics::{
-    ActuatorNetwork, Axis, ContactFriction, ContactKind, HeightGrid, JointMotion, PairTopology, Plane, SWEEPS,
-    StepSettings, Topology,
+    ActuatorNetwork, Axis, ContactFriction, ContactKind, JointMotion, PairTopology, Plane, SWEEPS, StepSettings,
+    Topology,
 };
 
+use crate::heights::Heights;
 use crate::layout::*;
-
-/// Edge lengths of the squares whose largest heights are known, m, for links and for contact
-/// candidates: `settings.rs` of polypod-dynamics.
-const HEIGHT_SQUARES: [f32; 2] = [0.5, 0.125];
 
 /// A feature that the text of the device does not have yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -26,9 +26,8 @@ pub enum Unsupported {
 /// Ground, networks and forces around the robots of a block.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Scene<'a> {
-    /// Ground that replaces the settings' plane, which must be level then. Its
-    /// [`squares`](HeightGrid::note_squares) must be noted.
-    pub terrain: Option<&'a HeightGrid>,
+    /// Ground that replaces the settings' plane, which must be level then.
+    pub terrain: Option<&'a Heights>,
     /// Networks that drive joints.
     pub networks: &'a [ActuatorNetwork],
     /// Control steps whose targets are remembered, the present one included.
@@ -46,7 +45,7 @@ pub struct Tables {
     /// Table of numbers.
     pub numbers: Vec<f32>,
     /// Heights of the grid, `[x][y]`, then the largest heights of its squares; empty on a plane.
-    pub grid: Vec<f32>,
+    pub grid: Arc<[f32]>,
     /// Numbers of a robot in each kind of column.
     pub sizes: Sizes,
 }
@@ -99,7 +98,10 @@ impl Tables {
         let stride = lists.topology(topology, link_forces, &mut header);
         sizes_and_settings(topology, settings, scene, stride, &mut header);
         write_settings(settings, &mut lists.numbers[..NUM_NUMBERS]);
-        let grid = terrain.map_or(Vec::new(), |grid| write_grid(grid, &mut header, &mut lists.numbers));
+        if let Some(heights) = terrain {
+            write_grid(heights, &mut header, &mut lists.numbers);
+        }
+        let grid = terrain.map_or_else(|| Arc::from([]), |heights| heights.numbers.clone());
         let sizes = place_columns(topology, settings, scene, stride, &mut header);
         for (name, size) in [
             (SIZE_PARAMETERS, sizes.parameters),
@@ -118,10 +120,35 @@ impl Tables {
         Ok(Self { integers, numbers: lists.numbers, grid, sizes })
     }
 
+    /// The tables as a header of the device's text, with which it is the text of this morphology
+    /// alone: all sizes are constants. Absent if a number is not finite, which C cannot write.
+    pub fn header(&self) -> Option<String> {
+        let mut text = String::new();
+        for &(name, place) in INTEGER_PLACES.iter().filter(|(_, place)| *place < NUM_INTEGERS) {
+            writeln!(text, "#define INTEGER_{name} {}", self.integers[place]).ok()?;
+        }
+        for &(name, place) in NUMBER_PLACES.iter().filter(|(_, place)| *place < NUM_NUMBERS) {
+            writeln!(text, "#define NUMBER_{name} ({})", exact(self.numbers[place])).ok()?;
+        }
+        let integers: Vec<String> = self.integers.iter().map(i32::to_string).collect();
+        let numbers: Vec<String> = self.numbers.iter().copied().map(exact).collect();
+        writeln!(text, "TABLE int INTEGERS[] = {{{}}};", integers.join(",")).ok()?;
+        writeln!(text, "TABLE float NUMBERS[] = {{{}}};", numbers.join(",")).ok()?;
+        self.numbers.iter().all(|number| number.is_finite()).then_some(text)
+    }
+
     /// An entry of the table of integers that is never negative.
     pub(crate) fn at(&self, name: usize) -> usize {
         usize::try_from(self.integers[name]).unwrap_or(0)
     }
+}
+
+/// A finite number as a literal of C, without rounding.
+fn exact(number: f32) -> String {
+    let bits = number.to_bits();
+    let (sign, exponent, fraction) = (if bits >> 31 == 1 { "-" } else { "" }, bits >> 23 & 0xFF, bits & 0x7F_FFFF);
+    let whole = if exponent == 0 { fraction } else { fraction | 0x80_0000 };
+    format!("{sign}0x{whole:X}p{}f", exponent.max(1) as i32 - 150)
 }
 
 /// Lists of the tables. Places in the table of integers count from its beginning, behind the
@@ -345,42 +372,23 @@ fn path_of_both(paths: &[Vec<(usize, usize)>], links: [usize; 2]) -> Vec<(usize,
     path
 }
 
-/// Writes a height grid to the tables. Returns its heights and the largest heights of its squares.
-fn write_grid(grid: &HeightGrid, header: &mut [usize], numbers: &mut [f32]) -> Vec<f32> {
-    let [rows, columns] = grid.size;
-    let mut heights = grid.heights();
+/// Writes a height grid to the tables.
+fn write_grid(heights: &Heights, header: &mut [usize], numbers: &mut [f32]) {
     header[HAS_GRID] = 1;
-    (header[GRID_SIZE], header[GRID_SIZE + 1]) = (rows, columns);
+    header[GRID_SIZE..GRID_SIZE + 2].copy_from_slice(&heights.size);
     for (number, value) in [
-        (GRID_ORIGIN, grid.origin[0]),
-        (GRID_ORIGIN + 1, grid.origin[1]),
-        (GRID_CELL, grid.cell),
-        (GRID_INVERSE_CELL, (1.0 / f64::from(grid.cell)) as f32),
-        (GRID_HIGHEST, grid.highest),
+        (GRID_ORIGIN, heights.origin[0]),
+        (GRID_ORIGIN + 1, heights.origin[1]),
+        (GRID_CELL, heights.cell),
+        (GRID_INVERSE_CELL, (1.0 / f64::from(heights.cell)) as f32),
+        (GRID_HIGHEST, heights.highest),
     ] {
         numbers[number] = value;
     }
-    for (near, edge) in HEIGHT_SQUARES.into_iter().enumerate() {
-        let stride = ((edge / grid.cell).round() as usize).max(1);
-        let num = [rows.div_ceil(stride), columns.div_ceil(stride)];
-        let mut own = vec![f32::MIN; num[0] * num[1]];
-        for i in 0..rows {
-            for j in 0..columns {
-                let most = &mut own[i / stride * num[1] + j / stride];
-                *most = most.max(heights[i * columns + j]);
-            }
-        }
-        let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
-        let at = GRID_SQUARES + 4 * near;
-        header[at..at + 4].copy_from_slice(&[stride, num[0], num[1], heights.len()]);
-        for i in 0..num[0] {
-            for j in 0..num[1] {
-                let squares = around(i, num[0]).flat_map(|i| around(j, num[1]).map(move |j| (i, j)));
-                heights.push(squares.map(|(i, j)| own[i * num[1] + j]).fold(f32::MIN, f32::max));
-            }
-        }
+    for (near, squares) in heights.squares.iter().enumerate() {
+        let at = GRID_SQUARES + squares.len() * near;
+        header[at..at + squares.len()].copy_from_slice(squares);
     }
-    heights
 }
 
 /// Writes sizes and whole settings to the header.

@@ -8,12 +8,14 @@ use polypod::dynamics::{
     ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
     NetworkProgram, Parameters, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
-use polypod_cuda::{Block, Scene, Unsupported};
-use polypod_cuda_host::step_on_host;
+use polypod_cuda::{Block, Heights, Scene, Unsupported};
+use polypod_cuda_host::{OwnText, step_on_host};
 use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground, with_springs_on_a_slope};
 
 /// Robots of a block.
 const ENVS: usize = 3;
+/// A quadruped, a humanoid and a robot on wheels.
+const WITH_OWN_TEXT: [&str; 3] = ["unitree_a1", "unitree_g1", "unitree_go2w"];
 
 fn bits<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> Vec<u32> {
     numbers.into_iter().map(|x| x.to_bits()).collect()
@@ -50,7 +52,8 @@ struct Met {
 }
 
 /// Steps the robots of a morphology on both sides and compares them after each physics step. The
-/// last robot of the block reads separate parameters.
+/// last robot of the block reads separate parameters. The robots of [`WITH_OWN_TEXT`] take every
+/// second physics step with the text of their morphology alone.
 fn compare(
     robot: &Robot,
     contact: ContactSettings,
@@ -60,10 +63,12 @@ fn compare(
 ) -> Met {
     let Robot { name, topology, nominal } = robot;
     let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact };
-    let scene = Scene { terrain, ages: 2, link_forces, ..Scene::default() };
+    let heights = terrain.map(Heights::new);
+    let scene = Scene { terrain: heights.as_ref(), ages: 2, link_forces, ..Scene::default() };
     let mut random = Random(name.bytes().map(u64::from).sum());
     let mut block = Block::new(topology, &settings, &scene, ENVS).unwrap();
     block.share_parameters(nominal);
+    let own = WITH_OWN_TEXT.contains(&name.as_str()).then(|| OwnText::compile(&block.shape().tables).unwrap());
     let mut parameters = vec![nominal.clone(); ENVS];
     parameters[ENVS - 1].zip_with(nominal, |own, number| *own = number * (1.0 + 0.01 * random.next()));
     block.write_parameters(ENVS - 1, &parameters[ENVS - 1]);
@@ -87,7 +92,12 @@ fn compare(
             block.write_drive(env, &drives[env], origins[env]);
         }
         for substep in 0..settings.decimation {
-            assert!(step_on_host(&mut block, substep..substep + 1));
+            let substeps = substep..substep + 1;
+            let stepped = match &own {
+                Some(own) if substep % 2 == 1 => own.step(&mut block, substeps),
+                _ => step_on_host(&mut block, substeps),
+            };
+            assert!(stepped);
             for env in 0..ENVS {
                 ControlStep {
                     topology,
@@ -134,7 +144,9 @@ fn compare(
 #[test]
 fn of_all_robots_on_a_plane() {
     let (mut limits, mut pairs) = (0, 0);
-    for robot in library(true) {
+    let robots = library(true);
+    assert!(WITH_OWN_TEXT.iter().all(|name| robots.iter().any(|robot| robot.name == *name)));
+    for robot in robots {
         let met = compare(&robot, ContactSettings::default(), None, &[], 50);
         assert!(met.contacts > 0 && met.pushes > 0, "{}: {met:?}", robot.name);
         limits += usize::from(met.limits > 0);

@@ -7,18 +7,20 @@
 //! makes the same step from them.
 
 mod robots;
+mod trial;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use polypod_cuda::{Card, Device, DeviceError, Found};
+use polypod_cuda::{Card, Device, DeviceError, Found, Heights};
 
 use super::{DivergenceRecord, Engine, EngineFactory, EngineSetup, RobotSlices, Run};
 use crate::blocks::{Block, BlockList, BlockSizes};
-use crate::dynamics::{HeightGrid, Parameters, StepSettings};
+use crate::dynamics::{Parameters, StepSettings};
 use crate::error::Error;
 use crate::workers::{Workers, packs_of};
-use robots::Robots;
+use robots::{Means, Robots};
+use trial::{Trial, Turn};
 
 /// Folders of Python packages, in which `cuda` looks for torch's NVRTC; the first call counts.
 pub use polypod_cuda::search_packages;
@@ -27,7 +29,8 @@ pub use polypod_cuda::search_packages;
 pub fn describe_card() -> String {
     match polypod_cuda::find() {
         Ok(Found { name, driver, memory }) => format!(
-            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda",
+            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and with \
+             physics.engine=auto where it is faster than the CPU",
             memory >> 30,
             driver / 1000,
             driver % 1000 / 10
@@ -41,18 +44,50 @@ const TIMES: &str = "POLYPOD_CUDA_TIMES";
 
 type Open = dyn Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync;
 
-/// Makes engines that step on a device. Built in as `cuda`, for NVIDIA cards.
-pub struct OnDevice(Box<Open>);
+/// Makes engines that step on a device. Built in as `cuda` and `auto`, for NVIDIA cards.
+pub struct OnDevice {
+    open: Box<Open>,
+    if_faster: bool,
+}
 
 impl OnDevice {
     /// Engines on a device that `open` opens when a simulation is made.
     pub fn new(open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Self {
-        Self(Box::new(open))
+        Self { open: Box::new(open), if_faster: false }
     }
 
-    /// Engines on the first NVIDIA card.
-    pub(super) fn card() -> Self {
-        Self::new(|| Ok(Arc::new(Card::open(std::env::var_os(TIMES).is_some())?)))
+    /// Engines on a device where it is faster than the CPU: both take turns in the first steps.
+    /// They have the same bits. Where there is no device, the CPU steps.
+    pub fn if_faster(open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Self {
+        Self { if_faster: true, ..Self::new(open) }
+    }
+
+    /// Opens the first NVIDIA card.
+    pub(super) fn open_card() -> Result<Arc<dyn Device>, DeviceError> {
+        Ok(Arc::new(Card::open(std::env::var_os(TIMES).is_some())?))
+    }
+
+    /// The robots of all morphologies on a device.
+    fn place(&self, setup: &EngineSetup) -> Result<Placed, Error> {
+        let refused = |error: DeviceError| Error::argument("physics.engine", error.to_string(), error.remedy());
+        let device = (self.open)().map_err(refused)?;
+        let settings = setup.step_settings(setup.plane());
+        let heights = setup.ground.terrain.as_deref().map(Heights::new);
+        let (mut robots, mut first_env) = (Vec::new(), 0);
+        for (morphology, &count) in setup.morphologies.iter().zip(&setup.blocks.0) {
+            if count > 0 {
+                let made = Robots::new(&*device, morphology, &settings, heights.as_ref(), first_env, count);
+                robots.push(made.map_err(|error| {
+                    let problem = format!("{}: {error}", morphology.name());
+                    Error::argument("physics.engine", problem, error.remedy())
+                })?);
+            }
+            first_env += count;
+        }
+        // the morphologies whose robots take the longest begin first
+        let mut order: Vec<usize> = (0..robots.len()).collect();
+        order.sort_by_key(|&place| std::cmp::Reverse(robots[place].num_impulses()));
+        Ok(Placed { device, settings, heights, robots, order })
     }
 }
 
@@ -74,65 +109,65 @@ impl EngineFactory for OnDevice {
     }
 
     fn make(&self, setup: &EngineSetup) -> Result<Box<dyn Engine>, Error> {
-        let refused = |error: DeviceError| Error::argument("physics.engine", error.to_string(), error.remedy());
-        let device = (self.0)().map_err(refused)?;
-        let (settings, terrain) = (setup.step_settings(setup.plane()), setup.ground.terrain.clone());
-        let (mut robots, mut first_env) = (Vec::new(), 0);
-        for (morphology, &count) in setup.morphologies.iter().zip(&setup.blocks.0) {
-            if count > 0 {
-                let made = Robots::new(&*device, morphology, &settings, terrain.as_deref(), first_env, count);
-                robots.push(made.map_err(|error| {
-                    let problem = format!("{}: {error}", morphology.name());
-                    Error::argument("physics.engine", problem, error.remedy())
-                })?);
+        let placed = match self.place(setup) {
+            Ok(placed) => Some(placed),
+            Err(error) if self.if_faster => {
+                tracing::info!("physics.engine auto: the CPU steps: {error}");
+                None
             }
-            first_env += count;
-        }
-        // the morphologies whose robots take the longest begin first
-        let mut order: Vec<usize> = (0..robots.len()).collect();
-        order.sort_by_key(|&place| std::cmp::Reverse(robots[place].num_impulses()));
+            Err(error) => return Err(error),
+        };
         let timed = std::env::var_os(TIMES).is_some();
         let engine = DeviceEngine {
             on_cpu: setup.make_articulated()?,
-            device: Some(device),
-            settings,
-            terrain,
-            robots,
-            order,
+            placed,
+            trial: self.if_faster.then(Trial::default),
             times: timed.then(Times::default),
         };
         Ok(Box::new(engine))
     }
 }
 
-/// Steps on a device; on the CPU if the device is lost.
-struct DeviceEngine {
-    /// The engine with the same bits, which goes on where the device is lost.
-    on_cpu: Box<dyn Engine>,
-    /// Absent once it is lost.
-    device: Option<Arc<dyn Device>>,
+/// Robots on a device.
+struct Placed {
+    device: Arc<dyn Device>,
     settings: StepSettings,
-    terrain: Option<Arc<HeightGrid>>,
+    heights: Option<Heights>,
     /// Robots of each morphology that has some.
     robots: Vec<Robots>,
     /// Places in `robots` in the order in which their steps begin.
     order: Vec<usize>,
+}
+
+/// Steps on a device; on the CPU if the device is lost or slower.
+struct DeviceEngine {
+    /// The engine with the same bits, which goes on where the device is lost.
+    on_cpu: Box<dyn Engine>,
+    /// Absent once the device is lost, or where the CPU is faster.
+    placed: Option<Placed>,
+    /// While it is not known who is faster.
+    trial: Option<Trial>,
     times: Option<Times>,
 }
 
-impl DeviceEngine {
+impl Placed {
     /// Steps all blocks on the device. The rows are unchanged.
-    fn step_on_device(&mut self, workers: &Workers, blocks: &mut [Block<RobotSlices<'_>>]) -> Result<(), DeviceError> {
-        let Self { device: Some(device), settings, terrain, robots, order, times, .. } = self else { return Ok(()) };
+    fn step(
+        &mut self,
+        workers: &Workers,
+        blocks: &mut [Block<RobotSlices<'_>>],
+        times: Option<&mut Times>,
+    ) -> Result<(), DeviceError> {
+        let Self { device, settings, heights, robots, order } = self;
+        let means = Means { device: &**device, settings, heights: heights.as_ref(), workers };
         let begun = Instant::now();
+        robots::read_rows(workers, robots, blocks);
         for &place in &*order {
-            let (robots, block) = (&mut robots[place], &mut blocks[place]);
-            robots.start(&**device, settings, terrain.as_deref(), workers, &mut block.rows)?;
+            robots[place].start(&means, &mut blocks[place])?;
         }
         let started = Instant::now();
         for &place in &*order {
-            let (robots, block) = (&mut robots[place], &mut blocks[place]);
-            robots.finish(&**device, settings, terrain.as_deref(), workers, &mut block.rows)?;
+            robots[place].finish(&means, &mut blocks[place])?;
         }
         if let Some(times) = times {
             times.gather += started - begun;
@@ -148,39 +183,62 @@ impl DeviceEngine {
     }
 }
 
+impl DeviceEngine {
+    /// Whether the device makes the next step.
+    fn takes_device(&mut self) -> bool {
+        let Self { placed: Some(placed), trial, .. } = self else { return false };
+        let Some(of_both) = trial else { return true };
+        // asking begins the preparations of all, side by side
+        if placed.robots.iter_mut().map(Robots::is_ready).filter(|ready| !ready).count() > 0 {
+            return false;
+        }
+        let turn = of_both.next(Instant::now());
+        let Some((winner, [cpu, device])) = of_both.verdict() else { return turn == Turn::Device };
+        let [cpu, device] = [cpu, device].map(|time| 1e3 * time.as_secs_f64());
+        tracing::info!(
+            "physics.engine auto: a control step takes {device:.2} ms with {} and {cpu:.2} ms with the CPU alone, \
+             which have the same bits; {} goes on",
+            placed.device.name(),
+            if winner == Turn::Device { "the card" } else { "the CPU" }
+        );
+        self.trial = None;
+        if winner == Turn::Cpu {
+            self.placed = None;
+        }
+        self.placed.is_some()
+    }
+}
+
 impl Engine for DeviceEngine {
     fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         self.on_cpu.upload(env, parameters);
-        if self.device.is_some() {
-            let place = self.robots.partition_point(|robots| robots.envs().end <= env);
-            if let Some(robots) = self.robots.get_mut(place) {
+        if let Some(Placed { robots, .. }) = &mut self.placed {
+            let place = robots.partition_point(|robots| robots.envs().end <= env);
+            if let Some(robots) = robots.get_mut(place) {
                 robots.upload(env, parameters);
             }
         }
     }
 
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord> {
-        if self.device.is_none() || !run.gains || run.steps != self.settings.decimation {
+        let whole = |placed: &Placed| run.gains && run.steps == placed.settings.decimation;
+        if !self.placed.as_ref().is_some_and(whole) || !self.takes_device() {
             return self.on_cpu.step(workers, robots, run);
         }
+        let Self { placed, times, .. } = self;
+        let Some(device) = placed else { return self.on_cpu.step(workers, robots, run) };
         let mut blocks: Vec<Block<RobotSlices>> = robots.into_iter().collect();
-        if let Err(error) = self.step_on_device(workers, &mut blocks) {
+        if let Err(error) = device.step(workers, &mut blocks, times.as_mut()) {
             tracing::warn!(
                 "physics.engine: the card failed ({error}); the simulation goes on from the last control step with the \
                  engine articulated, on the CPU and with the same bits"
             );
-            self.device = None;
-            self.robots.clear();
+            self.placed = None;
             return self.on_cpu.step(workers, BlockList::new(blocks.into_iter()), run);
         }
         let begun = Instant::now();
-        let mut found = Vec::new();
-        for (robots, block) in self.robots.iter_mut().zip(&mut blocks) {
-            let morphology = usize::from(block.morphology.0);
-            let limits = run.watched[morphology].then_some(run.limits);
-            found.extend(robots.write_rows(workers, &mut block.rows, morphology, limits));
-        }
-        if let Some(times) = &mut self.times {
+        let found = robots::write_rows(workers, &mut device.robots, &mut blocks, &run);
+        if let Some(times) = times {
             times.scatter += begun.elapsed();
         }
         found

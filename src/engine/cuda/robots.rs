@@ -1,15 +1,17 @@
 //! The robots of a morphology on a device: rows into columns and back.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::slice;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use polypod_cuda::{Columns, Device, DeviceBlock, DeviceError, Motion, ROBOTS_OF_TILE, Scene, Shape, list};
+use polypod_cuda::{Columns, Device, DeviceBlock, DeviceError, Heights, Motion, ROBOTS_OF_TILE, Scene, Shape, list};
 use smallvec::SmallVec;
 
-use super::super::{DivergenceRecord, RobotRows, RobotSlices, StateLimits, history_length};
-use crate::components::ContactImpulse;
-use crate::dynamics::{ActuatorNetwork, HeightGrid, Parameters, StepSettings, Topology};
+use super::super::{DivergenceRecord, RobotRows, RobotSlices, Run, StateLimits, history_length};
+use crate::blocks::Block;
+use crate::components::{ContactImpulse, LinkForce};
+use crate::dynamics::{ActuatorNetwork, Parameters, StepSettings, Topology};
 use crate::morphology::MorphologyModel;
 use crate::workers::{SplitRows, Workers};
 
@@ -18,6 +20,14 @@ use crate::workers::{SplitRows, Workers};
 const FIRST_CAPACITY: usize = 4;
 /// Fewest tiles that a thread copies at a time.
 const MIN_TILES: usize = 2;
+
+/// What all steps of an engine need.
+pub(super) struct Means<'a> {
+    pub(super) device: &'a dyn Device,
+    pub(super) settings: &'a StepSettings,
+    pub(super) heights: Option<&'a Heights>,
+    pub(super) workers: &'a Workers,
+}
 
 /// Robots of one morphology.
 pub(super) struct Robots {
@@ -38,6 +48,27 @@ pub(super) struct Robots {
     feet: Vec<usize>,
     others: Vec<usize>,
     block: Box<dyn DeviceBlock>,
+    needs: Needs,
+}
+
+/// What threads know of the robots whose rows and columns they copy.
+#[derive(Clone, Copy)]
+struct Common<'a> {
+    ages: usize,
+    forces: &'a [(usize, bool)],
+    feet: &'a [usize],
+    others: &'a [usize],
+    needs: &'a Needs,
+    first_env: usize,
+}
+
+/// What a control step needs beyond the memory of its block.
+#[derive(Default)]
+struct Needs {
+    /// Most contacts of a robot.
+    contacts: AtomicUsize,
+    /// Whether a force acts that the tables lack.
+    forces: AtomicBool,
 }
 
 /// A thread's rows, with their columns.
@@ -45,27 +76,104 @@ struct Part<'a, 'b> {
     first: usize,
     rows: RobotSlices<'b>,
     columns: Columns<'a>,
+    common: Common<'a>,
 }
 
-/// Shares rows and columns out among threads, whole tiles each.
-fn share_out<'a, 'b>(
+/// Parts of all robots, whole tiles each, so that threads meet once for all morphologies.
+fn parts<'a>(
     workers: &Workers,
-    rows: RobotSlices<'b>,
-    columns: Columns<'a>,
-    count: usize,
-) -> Vec<Part<'a, 'b>> {
-    let tiles = workers.share(count.div_ceil(ROBOTS_OF_TILE), MIN_TILES);
-    let (mut rest, mut parts) = (Some((rows, columns)), Vec::new());
-    let mut first = 0;
-    while let Some((rows, columns)) = rest.take() {
-        let n = (tiles * ROBOTS_OF_TILE).min(count - first);
-        let (rows, more) = rows.split_rows(n);
-        let (columns, further) = columns.split_at(n.div_ceil(ROBOTS_OF_TILE));
-        parts.push(Part { first, rows, columns });
-        first += n;
-        rest = (first < count).then_some((more, further));
+    robots: &'a mut [Robots],
+    blocks: &'a mut [Block<RobotSlices<'_>>],
+) -> impl Iterator<Item = Part<'a, 'a>> {
+    let all: usize = robots.iter().map(|robots| robots.envs.len().div_ceil(ROBOTS_OF_TILE)).sum();
+    let tiles = workers.share(all, MIN_TILES);
+    robots.iter_mut().zip(blocks).flat_map(move |(robots, block)| robots.parts(block.rows.reborrow(), tiles))
+}
+
+/// Copies the rows of all robots into columns.
+pub(super) fn read_rows(workers: &Workers, robots: &mut [Robots], blocks: &mut [Block<RobotSlices<'_>>]) {
+    let parts: Vec<Part> = parts(workers, robots, blocks).collect();
+    workers.for_each(parts.into_iter(), Part::read);
+}
+
+/// Copies the columns of all robots into rows. Returns the record of the first env of each watched
+/// morphology whose new state is beyond the limits.
+pub(super) fn write_rows(
+    workers: &Workers,
+    robots: &mut [Robots],
+    blocks: &mut [Block<RobotSlices<'_>>],
+    run: &Run,
+) -> Vec<DivergenceRecord> {
+    let morphologies: Vec<usize> = blocks.iter().map(|block| usize::from(block.morphology.0)).collect();
+    let ends: Vec<usize> = robots.iter().map(|robots| robots.envs.end).collect();
+    let found = Mutex::new(Vec::new());
+    let parts: Vec<Part> = parts(workers, robots, blocks).collect();
+    workers.for_each(parts.into_iter(), |part| {
+        let env = part.common.first_env + part.first;
+        let morphology = morphologies[ends.partition_point(|&end| end <= env)];
+        let limits = run.watched[morphology].then_some(run.limits);
+        if let Some(record) = part.write(morphology, limits) {
+            found.lock().unwrap_or_else(PoisonError::into_inner).push(record);
+        }
+    });
+    let mut found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
+    found.sort_by_key(|record| record.env);
+    found.dedup_by_key(|record| record.morphology);
+    found
+}
+
+impl Part<'_, '_> {
+    fn read(self) {
+        let Self { rows, mut columns, common: Common { ages, forces, needs, .. }, .. } = self;
+        let (mut contacts, mut unknown) = (0, false);
+        for row in 0..rows.poses.len() {
+            columns.foresee(row, true);
+            let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
+            let impulses = &rows.impulses[row];
+            columns.write_motion(
+                row,
+                &Motion {
+                    position: &pose.position,
+                    rotation: &pose.rotation,
+                    velocity: [&velocity.linear, &velocity.angular],
+                    joints: &joints.position,
+                    joint_velocities: &joints.velocity,
+                    bounds: &impulses.bounds,
+                },
+            );
+            contacts = contacts.max(impulses.contacts.len());
+            columns.write_impulses(row, impulses.contacts.iter().map(|of| (of.contact, of.impulse)));
+            // without a history no actuator sees a delay
+            let delays: &[f32] = if ages > 1 { &rows.delays[row].0 } else { &[] };
+            columns.write_targets(row, rows.targets[row].history.iter().take(ages).flatten(), delays);
+            let wrench = &rows.wrenches[row];
+            columns.write_surroundings(row, &wrench.force, &wrench.torque, &rows.origins[row].position);
+            let own = &rows.link_forces[row].0;
+            unknown |= own.iter().any(|force| forces.binary_search(&key_of(force)).is_err());
+            for (key, of) in forces.iter().enumerate() {
+                let (acts, vectors) = match own.iter().rfind(|force| key_of(force) == *of) {
+                    Some(force) => (1.0, [&force.point, &force.force, &force.torque]),
+                    None => (0.0, [&[0.0; 3]; 3]),
+                };
+                columns.write_link_force(row, key, acts, vectors);
+            }
+        }
+        needs.contacts.fetch_max(contacts, Ordering::Relaxed);
+        needs.forces.fetch_or(unknown, Ordering::Relaxed);
     }
-    parts
+
+    fn write(self, morphology: usize, limits: Option<&StateLimits>) -> Option<DivergenceRecord> {
+        let Self { first, mut rows, columns, common } = self;
+        let broken = limits.and_then(|limits| first_broken(&rows, &columns, limits));
+        rows.record(broken, morphology, common.first_env + first, |rows| {
+            (0..rows.poses.len()).for_each(|row| write_row(rows, row, &columns, common.feet, common.others));
+        })
+    }
+}
+
+/// The link and the frame of a force.
+fn key_of(force: &LinkForce) -> (usize, bool) {
+    (force.link as usize, force.in_world)
 }
 
 impl Robots {
@@ -77,13 +185,13 @@ impl Robots {
         device: &dyn Device,
         morphology: &MorphologyModel,
         settings: &StepSettings,
-        terrain: Option<&HeightGrid>,
+        heights: Option<&Heights>,
         first_env: usize,
         count: usize,
     ) -> Result<Self, DeviceError> {
         let ages = history_length(morphology.max_delay(), settings.decimation);
         let MorphologyModel { topology, networks, nominal, feet, .. } = morphology;
-        let scene = Scene { terrain, networks, ages, link_forces: &[] };
+        let scene = Scene { terrain: heights, networks, ages, link_forces: &[] };
         let shape = Shape::new(topology, settings, &scene, count, FIRST_CAPACITY)?;
         let tiles = shape.tiles();
         let block = device.allocate(shape)?;
@@ -100,6 +208,7 @@ impl Robots {
             feet: feet.to_vec(),
             others: (0..topology.num_bodies).filter(|body| !feet.contains(body)).collect(),
             block,
+            needs: Needs::default(),
         })
     }
 
@@ -111,6 +220,11 @@ impl Robots {
     /// Impulses that a robot may have.
     pub(super) fn num_impulses(&self) -> usize {
         self.topology.num_impulses()
+    }
+
+    /// See [`DeviceBlock::is_ready`].
+    pub(super) fn is_ready(&mut self) -> bool {
+        self.block.is_ready()
     }
 
     /// See [`DeviceBlock::seconds`].
@@ -135,24 +249,33 @@ impl Robots {
         self.changed[robot / ROBOTS_OF_TILE] = true;
     }
 
-    /// Begins a control step of the robots in these rows.
+    /// Parts of some tiles each.
+    fn parts<'a, 'b>(&'a mut self, rows: RobotSlices<'b>, tiles: usize) -> Vec<Part<'a, 'b>> {
+        let Self { envs, ages, forces, feet, others, block, needs, .. } = self;
+        *needs = Needs::default();
+        let common = Common { ages: *ages, forces, feet, others, needs, first_env: envs.start };
+        let (mut rest, mut parts, mut first) = (Some((rows, block.columns())), Vec::new(), 0);
+        while let Some((rows, columns)) = rest.take() {
+            let n = (tiles * ROBOTS_OF_TILE).min(envs.len() - first);
+            let (rows, more) = rows.split_rows(n);
+            let (columns, further) = columns.split_at(n.div_ceil(ROBOTS_OF_TILE));
+            parts.push(Part { first, rows, columns, common });
+            first += n;
+            rest = (first < envs.len()).then_some((more, further));
+        }
+        parts
+    }
+
+    /// Begins a control step of the robots in these rows, which have been read.
     ///
     /// # Errors
     /// A device that is lost, or whose memory is too small for more contacts.
-    pub(super) fn start(
-        &mut self,
-        device: &dyn Device,
-        settings: &StepSettings,
-        terrain: Option<&HeightGrid>,
-        workers: &Workers,
-        rows: &mut RobotSlices<'_>,
-    ) -> Result<(), DeviceError> {
-        let contacts = self.read_rows(workers, rows);
-        let forces = self.forces_of(rows);
-        if contacts > self.block.shape().capacity || forces.len() > self.forces.len() {
-            self.forces = forces;
-            self.allocate(device, settings, terrain, contacts)?;
-            self.read_rows(workers, rows);
+    pub(super) fn start(&mut self, means: &Means<'_>, block: &mut Block<RobotSlices<'_>>) -> Result<(), DeviceError> {
+        let contacts = self.needs.contacts.load(Ordering::Relaxed);
+        if contacts > self.block.shape().capacity || self.needs.forces.load(Ordering::Relaxed) {
+            let forces = self.forces_of(&block.rows);
+            self.allocate(means, contacts, forces)?;
+            read_rows(means.workers, slice::from_mut(self), slice::from_mut(block));
         }
         if self.changed.contains(&true) {
             let changed: Vec<usize> = (0..self.changed.len()).filter(|&tile| self.changed[tile]).collect();
@@ -167,14 +290,7 @@ impl Robots {
     ///
     /// # Errors
     /// As [`start`](Self::start).
-    pub(super) fn finish(
-        &mut self,
-        device: &dyn Device,
-        settings: &StepSettings,
-        terrain: Option<&HeightGrid>,
-        workers: &Workers,
-        rows: &mut RobotSlices<'_>,
-    ) -> Result<(), DeviceError> {
+    pub(super) fn finish(&mut self, means: &Means<'_>, block: &mut Block<RobotSlices<'_>>) -> Result<(), DeviceError> {
         loop {
             self.block.finish()?;
             let columns = self.block.columns();
@@ -182,23 +298,25 @@ impl Robots {
             if contacts <= self.block.shape().capacity {
                 return Ok(());
             }
-            self.allocate(device, settings, terrain, contacts)?;
-            self.start(device, settings, terrain, workers, rows)?;
+            self.allocate(means, contacts, self.forces.clone())?;
+            read_rows(means.workers, slice::from_mut(self), slice::from_mut(block));
+            self.start(means, block)?;
         }
     }
 
     /// Memory with more room: for more contacts, or for forces on more links.
-    fn allocate(
-        &mut self,
-        device: &dyn Device,
-        settings: &StepSettings,
-        terrain: Option<&HeightGrid>,
-        contacts: usize,
-    ) -> Result<(), DeviceError> {
-        let capacity = contacts.next_power_of_two().max(self.block.shape().capacity);
-        let scene = Scene { terrain, networks: &self.networks, ages: self.ages, link_forces: &self.forces };
-        let shape = Shape::new(&self.topology, settings, &scene, self.envs.len(), capacity)?;
-        self.block = device.allocate(shape)?;
+    fn allocate(&mut self, means: &Means<'_>, contacts: usize, forces: Vec<(usize, bool)>) -> Result<(), DeviceError> {
+        let known = self.block.shape();
+        let capacity = contacts.next_power_of_two().max(known.capacity);
+        let shape = if forces == self.forces {
+            known.with_capacity(capacity)
+        } else {
+            let scene =
+                Scene { terrain: means.heights, networks: &self.networks, ages: self.ages, link_forces: &forces };
+            Shape::new(&self.topology, means.settings, &scene, self.envs.len(), capacity)?
+        };
+        self.block = means.device.allocate(shape)?;
+        self.forces = forces;
         self.changed.fill(true);
         Ok(())
     }
@@ -207,82 +325,12 @@ impl Robots {
     fn forces_of(&self, rows: &RobotSlices<'_>) -> Vec<(usize, bool)> {
         let mut forces = self.forces.clone();
         for force in rows.link_forces.iter().flat_map(|forces| &forces.0) {
-            let key = (force.link as usize, force.in_world);
+            let key = key_of(force);
             if let Err(place) = forces.binary_search(&key) {
                 forces.insert(place, key);
             }
         }
         forces
-    }
-
-    /// Copies rows into columns. Returns the most contacts of a robot.
-    fn read_rows(&mut self, workers: &Workers, rows: &mut RobotSlices<'_>) -> usize {
-        let count = self.envs.len();
-        let parts = share_out(workers, rows.reborrow(), self.block.columns(), count);
-        let (most, ages, forces) = (AtomicUsize::new(0), self.ages, &self.forces);
-        workers.for_each(parts.into_iter(), |Part { rows, mut columns, .. }| {
-            let mut contacts = 0;
-            for row in 0..rows.poses.len() {
-                let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
-                let impulses = &rows.impulses[row];
-                columns.write_motion(
-                    row,
-                    &Motion {
-                        position: &pose.position,
-                        rotation: &pose.rotation,
-                        velocity: [&velocity.linear, &velocity.angular],
-                        joints: &joints.position,
-                        joint_velocities: &joints.velocity,
-                        bounds: &impulses.bounds,
-                    },
-                );
-                contacts = contacts.max(impulses.contacts.len());
-                columns.write_impulses(row, impulses.contacts.iter().map(|of| (of.contact, of.impulse)));
-                // without a history no actuator sees a delay
-                let delays: &[f32] = if ages > 1 { &rows.delays[row].0 } else { &[] };
-                columns.write_targets(row, rows.targets[row].history.iter().take(ages).flatten(), delays);
-                let wrench = &rows.wrenches[row];
-                columns.write_surroundings(row, &wrench.force, &wrench.torque, &rows.origins[row].position);
-                for (key, &(link, in_world)) in forces.iter().enumerate() {
-                    let own = &rows.link_forces[row].0;
-                    let of_key = own.iter().rfind(|force| (force.link as usize, force.in_world) == (link, in_world));
-                    let (acts, vectors) = match of_key {
-                        Some(force) => (1.0, [&force.point, &force.force, &force.torque]),
-                        None => (0.0, [&[0.0; 3]; 3]),
-                    };
-                    columns.write_link_force(row, key, acts, vectors);
-                }
-            }
-            most.fetch_max(contacts, Ordering::Relaxed);
-        });
-        most.into_inner()
-    }
-
-    /// Copies columns into rows. Where there are limits, returns the record of the first env whose
-    /// new state is beyond them.
-    pub(super) fn write_rows(
-        &mut self,
-        workers: &Workers,
-        rows: &mut RobotSlices<'_>,
-        morphology: usize,
-        limits: Option<&StateLimits>,
-    ) -> Option<DivergenceRecord> {
-        let (count, first_env) = (self.envs.len(), self.envs.start);
-        let (feet, others) = (&self.feet, &self.others);
-        let columns = self.block.columns();
-        let found = Mutex::new(Vec::new());
-        let parts = share_out(workers, rows.reborrow(), columns, count);
-        workers.for_each(parts.into_iter(), |Part { first, mut rows, columns }| {
-            let broken = limits.and_then(|limits| first_broken(&rows, &columns, limits));
-            let record = rows.record(broken, morphology, first_env + first, |rows| {
-                (0..rows.poses.len()).for_each(|row| write_row(rows, row, &columns, feet, others));
-            });
-            if let Some(record) = record {
-                found.lock().unwrap_or_else(PoisonError::into_inner).push(record);
-            }
-        });
-        let found = found.into_inner().unwrap_or_else(PoisonError::into_inner);
-        found.into_iter().min_by_key(|record| record.env)
     }
 }
 
@@ -291,6 +339,7 @@ fn first_broken(rows: &RobotSlices<'_>, columns: &Columns<'_>, limits: &StateLim
     let joints = rows.joints.first().map_or(0, |joints| joints.position.len());
     let mut numbers: SmallVec<[f32; 128]> = SmallVec::from_elem(0.0, 13 + 5 * joints);
     (0..rows.poses.len()).find(|&row| {
+        columns.foresee(row, false);
         let (position, rest) = numbers.split_at_mut(3);
         let (rotation, rest) = rest.split_at_mut(4);
         let (linear, rest) = rest.split_at_mut(3);
@@ -317,6 +366,7 @@ fn first_broken(rows: &RobotSlices<'_>, columns: &Columns<'_>, limits: &StateLim
 
 /// Writes the new state and the report of a robot to its row.
 fn write_row(rows: &mut RobotSlices<'_>, row: usize, columns: &Columns<'_>, feet: &[usize], others: &[usize]) {
+    columns.foresee(row, false);
     let (pose, velocity, joints) = (&mut rows.poses[row], &mut rows.velocities[row], &mut rows.joints[row]);
     let impulses = &mut rows.impulses[row];
     columns.read_motion(

@@ -23,12 +23,13 @@ SHORT = ("sim.episode_length_s=1.2", "events.push_robot.interval_range_s=[0.2, 0
 """Short episodes and frequent pushes, so that a short run meets both."""
 
 
-@pytest.fixture
-def card() -> str:
-    """The card; skips where there is none."""
+@pytest.fixture(params=["common", "own"])
+def card(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The card, with the common kernel and with those of the morphologies; skips where there is none."""
     described = _core.cuda()
     if described.startswith("not used: "):
         pytest.skip(described)
+    monkeypatch.setenv("POLYPOD_CUDA_KERNELS", request.param)
     return described
 
 
@@ -72,6 +73,15 @@ def test_a_machine_without_a_card_gets_a_reason_and_a_remedy() -> None:
     assert "articulated" in message
     # the command says the same in one line
     assert described.removeprefix("not used: ").split(";")[0] in message
+
+
+def test_the_faster_engine_has_the_bits_of_the_cpu_with_a_card_or_without() -> None:
+    cpu = VecSim("velocity_flat", 40, seed=4, overrides=SHORT)
+    either = VecSim("velocity_flat", 40, seed=4, overrides=[*SHORT, "physics.engine=auto"])
+    for action in actions(cpu, 100):
+        cpu.step(action)
+        either.step(action)
+    assert cpu.snapshot() == either.snapshot()
 
 
 def test_the_engine_compiles_with_the_flags_whose_result_is_read() -> None:

@@ -6,8 +6,12 @@
 
 use std::ffi::c_int;
 use std::ops::Range;
+use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::{env, fs, io};
 
-use polypod_cuda::{Block, Columns, Device, DeviceBlock, DeviceError, Parts, Shape};
+use libloading::Library;
+use polypod_cuda::{Block, Columns, DEVICE_TEXT, Device, DeviceBlock, DeviceError, Parts, Shape, Tables};
 
 /// `Block` of `device/step.cu`.
 #[repr(C)]
@@ -28,13 +32,62 @@ struct Arguments {
     end: c_int,
 }
 
+type Step = unsafe extern "C" fn(*const Arguments);
+
 unsafe extern "C" {
     fn polypod_control_step(block: *const Arguments);
+}
+
+/// The text of one morphology, in which all sizes are constants.
+pub struct OwnText(Library);
+
+impl OwnText {
+    /// Compiles it.
+    ///
+    /// # Errors
+    /// No compiler for C, or one that refuses the text.
+    pub fn compile(tables: &Tables) -> io::Result<Self> {
+        static COUNT: AtomicUsize = AtomicUsize::new(0);
+        let name = format!("polypod-cuda-{}-{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let folder = env::temp_dir().join(name);
+        fs::create_dir_all(&folder)?;
+        let header = tables.header().ok_or_else(|| io::Error::other("a number of the tables is not finite"))?;
+        for (name, text) in DEVICE_TEXT.into_iter().chain([("morphology.h", header.as_str())]) {
+            fs::write(folder.join(name), text)?;
+        }
+        let compiler = env::var_os("CC").unwrap_or_else(|| "cc".into());
+        let mut command = Command::new(compiler);
+        command.args(["-xc", "-std=c11", "-O1", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared"]);
+        #[cfg(target_arch = "x86_64")]
+        if std::is_x86_feature_detected!("fma") {
+            command.arg("-mfma");
+        }
+        let library = folder.join("step.so");
+        let done = command.arg("-DPOLYPOD_TABLES").arg(folder.join("step.cu")).args(["-lm", "-o"]).arg(&library);
+        let done = done.output()?;
+        if !done.status.success() {
+            return Err(io::Error::other(String::from_utf8_lossy(&done.stderr).into_owned()));
+        }
+        // SAFETY: the library is the text, which has no initialisers
+        let library = unsafe { Library::new(&library) }.map_err(io::Error::other)?;
+        fs::remove_dir_all(&folder)?;
+        Ok(Self(library))
+    }
+
+    /// As [`step_on_host`]. The block must have the tables that the text was compiled for.
+    pub fn step(&self, block: &mut Block, substeps: Range<usize>) -> bool {
+        // SAFETY: the text has this function
+        unsafe { self.0.get::<Step>(b"polypod_control_step\0") }.is_ok_and(|step| step_with(*step, block, substeps))
+    }
 }
 
 /// Makes some physics steps of a control step on the host. Returns whether it could: the
 /// steps must be of the control step, and the robots must have parameters.
 pub fn step_on_host(block: &mut Block, substeps: Range<usize>) -> bool {
+    step_with(polypod_control_step, block, substeps)
+}
+
+fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
     let whole = |x: usize| c_int::try_from(x);
     let (Ok(first), Ok(end), Ok(robots), Ok(capacity)) =
         (whole(substeps.start), whole(substeps.end), whole(block.robots()), whole(block.shape().capacity))
@@ -64,7 +117,7 @@ pub fn step_on_host(block: &mut Block, substeps: Range<usize>) -> bool {
     };
     // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
     // text; it keeps no pointer
-    unsafe { polypod_control_step(&raw const arguments) };
+    unsafe { step(&raw const arguments) };
     true
 }
 

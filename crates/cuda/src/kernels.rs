@@ -1,0 +1,167 @@
+//! Kernels of a card: a common one for all morphologies, and own ones of morphologies that step for
+//! long.
+//!
+//! In an own kernel all sizes are constants. NVRTC compiles it in seconds, aside, while the common
+//! kernel steps. Both give the same bits, so that it does not matter when one takes over.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::thread::{self, JoinHandle};
+
+use cudarc::driver::{CudaContext, CudaFunction};
+use cudarc::nvrtc::Ptx;
+
+use crate::device::DeviceError;
+use crate::nvrtc;
+use crate::tables::Tables;
+
+/// Environment variable that says which kernels step: `common`, or `own`, for which the first
+/// step waits. By default, own ones take over when they are ready.
+const VARIABLE: &str = "POLYPOD_CUDA_KERNELS";
+/// Control steps of a block after which its own kernel is worth its compilation.
+const WORTH: u32 = 50;
+/// Most own kernels of a process: each is some hundred kB of code.
+const MOST: usize = 64;
+/// Most kernels that are compiled at a time.
+const MOST_AT_A_TIME: usize = 8;
+
+/// The kernel in a PTX.
+pub(crate) fn load(context: &Arc<CudaContext>, ptx: String) -> Result<CudaFunction, DeviceError> {
+    let call = crate::driver::call;
+    let module = context.load_module(Ptx::from_src(ptx)).map_err(call("cuModuleLoadData"))?;
+    module.load_function("polypod_control_step").map_err(call("cuModuleGetFunction"))
+}
+
+/// An own kernel, once it is compiled; none where there are too many.
+pub(crate) type Own = Arc<OnceLock<Result<Option<CudaFunction>, DeviceError>>>;
+
+/// Which kernels step.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Choice {
+    Common,
+    Own,
+    WhenReady,
+}
+
+/// Own kernels that wait for a thread, and the threads at work.
+#[derive(Default)]
+struct Work {
+    waiting: VecDeque<(String, Own)>,
+    running: usize,
+}
+
+/// The kernels of a card.
+pub(crate) struct Kernels {
+    context: Arc<CudaContext>,
+    common: CudaFunction,
+    choice: Choice,
+    /// Own kernels by the headers of their tables.
+    known: Mutex<HashMap<String, Own>>,
+    work: Arc<Mutex<Work>>,
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Kernels {
+    /// Compiles the common kernel.
+    ///
+    /// # Errors
+    /// No compiler, or one that refuses the text.
+    pub(crate) fn new(context: &Arc<CudaContext>) -> Result<Self, DeviceError> {
+        let choice = match std::env::var(VARIABLE).as_deref() {
+            Ok("common") => Choice::Common,
+            Ok("own") => Choice::Own,
+            _ => Choice::WhenReady,
+        };
+        Ok(Self {
+            context: context.clone(),
+            common: load(context, nvrtc::compile(None)?)?,
+            choice,
+            known: Mutex::default(),
+            work: Arc::default(),
+            threads: Mutex::default(),
+        })
+    }
+
+    /// The own kernel of a new block, where the first step waits for it: those of all blocks are
+    /// compiled at the same time.
+    pub(crate) fn of_new_block(&self, tables: &Tables) -> Option<Own> {
+        (self.choice == Choice::Own).then(|| self.request(tables))
+    }
+
+    /// The kernel for a block that has made some steps; `own` remembers the block's own one.
+    ///
+    /// # Errors
+    /// The own kernel does not compile, where the step must wait for it.
+    pub(crate) fn for_step(
+        &self,
+        tables: &Tables,
+        own: &mut Option<Own>,
+        steps: u32,
+    ) -> Result<CudaFunction, DeviceError> {
+        if self.choice == Choice::Common || (steps < WORTH && self.choice == Choice::WhenReady && own.is_none()) {
+            return Ok(self.common.clone());
+        }
+        let own = own.get_or_insert_with(|| self.request(tables));
+        let found = match self.choice {
+            Choice::Own => own.wait().clone()?,
+            _ => own.get().and_then(|own| own.clone().ok().flatten()),
+        };
+        Ok(found.unwrap_or_else(|| self.common.clone()))
+    }
+
+    /// Whether a block's own kernel is there, or will never be; asking for it begins its
+    /// compilation.
+    pub(crate) fn is_ready(&self, tables: &Tables, own: &mut Option<Own>) -> bool {
+        self.choice == Choice::Common || own.get_or_insert_with(|| self.request(tables)).get().is_some()
+    }
+
+    /// The own kernel of some tables, which is compiled aside.
+    fn request(&self, tables: &Tables) -> Own {
+        let mut known = locked(&self.known);
+        let Some(header) = tables.header().filter(|header| known.len() < MOST || known.contains_key(header)) else {
+            return Own::new(Ok(None).into());
+        };
+        if let Some(own) = known.get(&header) {
+            return own.clone();
+        }
+        let own = Own::default();
+        known.insert(header.clone(), own.clone());
+        let mut work = locked(&self.work);
+        work.waiting.push_back((header, own.clone()));
+        let cores = thread::available_parallelism().map_or(1, usize::from);
+        if work.running < (cores / 2).clamp(1, MOST_AT_A_TIME) {
+            work.running += 1;
+            drop(work);
+            let (context, work) = (self.context.clone(), self.work.clone());
+            locked(&self.threads).push(thread::spawn(move || compile_waiting(&context, &work)));
+        }
+        own
+    }
+}
+
+/// Compiles own kernels until none waits.
+fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>) {
+    loop {
+        let mut all = locked(work);
+        let Some((header, own)) = all.waiting.pop_front() else {
+            all.running -= 1;
+            return;
+        };
+        drop(all);
+        let _ = own.set(nvrtc::compile(Some(&header)).and_then(|ptx| load(context, ptx)).map(Some));
+    }
+}
+
+impl Drop for Kernels {
+    fn drop(&mut self) {
+        locked(&self.work).waiting.clear();
+        // NVRTC must not work while the process ends
+        for thread in locked(&self.threads).drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
