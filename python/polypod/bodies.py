@@ -44,9 +44,11 @@ class Link:
     """Middle of the shape in the link's frame, m."""
     along: str = "z"
     """Axis of a cylinder: x or z."""
+    turned: Vector = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the shape in the link's frame, rad."""
 
     def inertia(self) -> Vector:
-        """Inertia of the solid about its middle, link axes, kg m^2."""
+        """Inertia of the solid about its middle, link axes (its own, if it is turned), kg m^2."""
         if self.shape == "box":
             x, y, z = (edge * edge for edge in self.size)
             return self.mass / 12 * (y + z), self.mass / 12 * (z + x), self.mass / 12 * (x + y)
@@ -67,8 +69,8 @@ class Joint:
     parent: str
     child: str
     at: Vector
-    axis: str
-    """Axis about which the joint turns: x, y or z."""
+    axis: str | Vector
+    """Axis about which the joint turns: x, y, z, or a unit vector."""
     lower: float
     upper: float
     group: str
@@ -90,6 +92,8 @@ class Drive:
     """Damping over stiffness, s."""
     armature: float
     """Rotor inertia, s^2."""
+    speed: float = 1.0
+    """Factor on the group's speed limit."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,13 +130,16 @@ def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> 
 
     With `wide`, quadrupeds also differ in what makers choose in different ways: where the thigh
     hangs on the hip, joint limits, weak and strong motors, slow and fast ones, dry friction, and
-    soft and stiff gains.
+    soft and stiff gains. Bodies on two legs are those of `polypod.bodies_on_two_legs`.
     """
+    from polypod import bodies_on_two_legs  # which draws with the parts of this module
+
+    on_two_legs = bodies_on_two_legs.draw if wide else _biped
     makers = {
         "quadruped": lambda: _quadruped(name, rng, abduction=True, wide=wide),
         "quadruped8": lambda: _quadruped(name, rng, abduction=False, wide=wide),
-        "biped": lambda: _biped(name, rng, arms=False),
-        "humanoid": lambda: _biped(name, rng, arms=True),
+        "biped": lambda: on_two_legs(name, rng, arms=False),
+        "humanoid": lambda: on_two_legs(name, rng, arms=True),
         "hexapod": lambda: _hexapod(name, rng),
     }
     if kind not in makers:
@@ -520,6 +527,9 @@ def _shape(link: Link) -> str:
     return f'<cylinder radius="{_number(link.size[0])}" length="{_number(link.size[1])}"/>'
 
 
+_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+
+
 def urdf(body: Body) -> str:
     """The URDF of a body. Feet are links without mass, fixed to their legs."""
     limits = _limits(body)
@@ -535,7 +545,7 @@ def urdf(body: Body) -> str:
         joint = by_child.get(link.name)
         if joint is not None:
             effort, velocity = limits[joint.group]
-            axis = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}[joint.axis]
+            axis = _AXES[joint.axis] if isinstance(joint.axis, str) else _numbers(joint.axis)
             out += [
                 f'  <joint name="{joint.name}" type="revolute">',
                 f'    <origin xyz="{_numbers(joint.at)}" rpy="0 0 {_number(joint.yaw)}"/>',
@@ -546,12 +556,13 @@ def urdf(body: Body) -> str:
                 "  </joint>",
             ]
         x, y, z = link.inertia()
-        turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else ""
+        own = f' rpy="{_numbers(link.turned)}"' if any(link.turned) else ""
+        turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else own
         inertia = f'ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" ixy="0" ixz="0" iyz="0"'
         shape = f'<origin xyz="{_numbers(link.at)}"{turned}/><geometry>{_shape(link)}</geometry>'
         out += [
             f'  <link name="{link.name}">',
-            f'    <inertial><origin xyz="{_numbers(link.at)}"/><mass value="{_number(link.mass)}"/>',
+            f'    <inertial><origin xyz="{_numbers(link.at)}"{own}/><mass value="{_number(link.mass)}"/>',
             f"      <inertia {inertia}/></inertial>",
             f"    <visual>{shape}</visual>",
             f"    <collision>{shape}</collision>",
@@ -575,7 +586,7 @@ def _limits(body: Body) -> dict[str, tuple[float, float]]:
     """
     load = body.mass * GRAVITY * body.leg_length
     speed = 20.0 * body.speed * math.sqrt(0.4 / body.leg_length)
-    return {group: (drive.effort * load, speed) for group, drive in body.drives.items()}
+    return {group: (drive.effort * load, speed * drive.speed) for group, drive in body.drives.items()}
 
 
 def toml(body: Body, seed: int) -> str:
