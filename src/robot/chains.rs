@@ -130,7 +130,10 @@ impl<'a> ZeroPose<'a> {
                     own.map(|joint| sign * self.position(joint).y).fold(0.0, f64::max) > ASIDE * width
                 })
             };
-            let is_in_the_middle = path.iter().all(|joint| self.position(*joint).y.abs() <= MIDDLE * width);
+            // where a joint about y lies along its axis says nothing
+            let is_in_the_middle = path
+                .iter()
+                .all(|joint| self.position(*joint).y.abs() <= MIDDLE * width || self.axis(*joint).y.abs() > ALIGNED);
             if path.len() <= TORSO_JOINTS && is_in_the_middle && side(1.0) && side(-1.0) {
                 found.torso.extend(path);
                 self.collect_limbs(end, width, found);

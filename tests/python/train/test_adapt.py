@@ -1,5 +1,6 @@
 """`polypod adapt` makes a policy walk with a robot; its memory, messages and results."""
 
+import dataclasses
 import json
 import shutil
 import signal
@@ -26,6 +27,7 @@ max_iterations = 100000
 save_interval = 100000
 symmetry = false
 """
+LEGGED = bundled.checkpoint("legged")
 FLAGS = ("--train-config", "tiny.toml", "--threads", "1", "--device", "cpu", "--every", "1")
 
 
@@ -179,6 +181,11 @@ def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, m
     manifest = run_dir.read_manifest(checkpoint)
     assert manifest["policy"]["hidden_dims"] == [512, 256, 128]
     assert "distillation" not in manifest["train_config"]
+    # the new critic learns first; the policy, which was taught with good sensors, is as it was
+    assert manifest["train_config"]["algorithm"]["critic_warmup_iterations"] == adapt.CRITIC_WARMUP
+    assert adapt.NO_NOISE in manifest["overrides"]
+    own, other = (run_dir.load_checkpoint(path)["actor_state_dict"] for path in (checkpoint, LEGGED))
+    assert all(torch.equal(own[key], other[key]) for key in own if "moments" not in key)
     assert "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
 
 
@@ -214,6 +221,7 @@ def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured)
         (("unitree_go1", "--train-config", "nothing"), "nothing"),
         (("unitree_go1", "--checkpoint", "nothing.pt"), "nothing.pt"),
         (("unitree_h1", "--checkpoint", "flat", *FLAGS), "twelve joints"),
+        (("unitree_go1", "--anew", "always", "--neighbours", "1", *FLAGS), "--neighbours"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, tuple) else "",
 )
@@ -229,6 +237,45 @@ def test_the_settings_are_a_train_config_of_its_own():
     settings = config.load(adapt.TRAIN_CONFIG)
     assert settings.run.task == "velocity_flat_any_legged"
     assert settings.run.num_envs * settings.run.num_steps_per_env <= 10_000
+    on_gpu, anew = config.load(adapt.ON_GPU), config.load(adapt.ANEW)
+    assert on_gpu.run.num_envs > settings.run.num_envs
+    # a network of the robot's own has a task and sizes of its own, and goals that stay
+    assert anew.actor.class_name == "MLPModel"
+    assert anew.goals(0) == anew.goals(50_000)
+
+
+def test_a_policy_that_falls_at_once_gives_way_to_a_network_of_its_own(cli, tmp_path, measured, monkeypatch):
+    falls = dataclasses.replace(bad(0.4), fall_rate=1.0)
+    # with a GPU; without one the policy goes on
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
+    measured(falls, FIGURES, FIGURES)
+    (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "a network of its own begins anew" in done.stdout
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["class_name"] == "MLPModel"
+    assert manifest["task"] == "Velocity-Flat-Teacher-v0"
+    assert manifest["overrides"] == []
+
+
+@pytest.mark.parametrize(
+    ("anew", "has_gpu", "falls", "neighbours", "begins"),
+    [
+        ("auto", True, 0.9, False, True),
+        ("auto", True, 0.2, False, False),
+        ("auto", False, 0.9, False, False),
+        ("auto", True, 0.9, True, False),
+        ("always", False, 0.0, False, True),
+        ("never", True, 1.0, False, False),
+    ],
+)
+def test_when_a_network_of_its_own_begins(monkeypatch, anew, has_gpu, falls, neighbours, begins):
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
+    before = dataclasses.replace(FIGURES, fall_rate=falls)
+    assert adapt._begins_anew(adapt.Options("spot", anew=anew), before, neighbours) is begins
 
 
 def test_a_critic_goes_on_for_another_body():
