@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path, help="folders of URDFs or configs, or drawn libraries")
     parser.add_argument("--checkpoint", nargs="+", default=["legged"], help="files, runs or bundled policies")
     parser.add_argument("--task", default=TASK)
-    parser.add_argument("--num-envs", type=int, default=ENVS_PER_ROBOT, help="of each robot")
+    parser.add_argument("--num-envs", type=int, default=ENVS_PER_ROBOT, help="number for each robot")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int)
     parser.add_argument("--json", type=Path, help="also write all figures")

@@ -2,7 +2,7 @@
 
 A short training that begins with the policy, of the robot alone or with robots that are described
 most like it, and ends when the robot walks. Where the policy falls at once and a GPU is there, the
-robot gets a network of its own, which begins anew. Measuring and stopping are
+robot gets a separate network, which begins from scratch. Measuring and stopping are
 `polypod.training.goal`, training is `polypod.training.session`.
 """
 
@@ -31,12 +31,12 @@ from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_l
 from polypod.training.report import Iteration, Reporter, walking_cells
 from polypod.training.workers import Workers
 
-TRAIN_CONFIG, ON_GPU, ANEW = "adapt", "adapt_on_gpu", "adapt_anew"
-"""Train configs: on a CPU, with a GPU, and of a network of the robot's own."""
+TRAIN_CONFIG, ON_GPU, SEPARATE = "adapt", "adapt_on_gpu", "adapt_separate"
+"""Train configs: on a CPU, with a GPU, and for a separate network of the robot."""
 CRITIC_WARMUP = 10
 """Iterations in which a new critic learns before the policy moves."""
 HOPELESS = 0.5
-"""A policy that falls in more than this share of the episodes is no beginning, where a GPU is."""
+"""A policy that falls in more than this share of the episodes is no beginning, with a GPU."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -63,9 +63,10 @@ class Options:
     max_minutes: float = MAX_MINUTES
     every: int = EVERY
     train_config: str | None = None
-    """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_anew` for a network of its own."""
-    anew: Literal["auto", "always", "never"] = "auto"
-    """Whether the robot gets a network of its own: auto where the policy falls in more than half of
+    """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
+    network."""
+    separate: Literal["auto", "always", "never"] = "auto"
+    """Whether the robot gets a separate network: auto where the policy falls in more than half of
     the episodes and a GPU is there."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
@@ -83,7 +84,7 @@ class Options:
         words = ["polypod", "adapt", self.robot]
         if self.checkpoint is not None:
             words += ["--checkpoint", bundled.shown(self.checkpoint)]
-        for name in ("neighbours", "max_minutes", "every", "train_config", "anew", "seed"):
+        for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed"):
             if (value := getattr(self, name)) != getattr(Options, name):
                 words += [f"--{name.replace('_', '-')}", str(value)]
         words += [word for change in self.overrides for word in ("--set", change)]
@@ -139,8 +140,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         library = {entry["name"] for entry in _core.robots()}
         near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
         neighbours = near[: options.neighbours]
-        if neighbours and options.anew == "always":
-            raise _core.ConfigError("--anew always trains the robot alone; leave out --neighbours")
+        if neighbours and options.separate == "always":
+            raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
         changes = _changes(manifest, robot, name, near[:1], options.overrides)
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
     except BaseException:
@@ -159,9 +160,9 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
     )
-    is_anew = _begins_anew(options, before[name], bool(neighbours))
+    is_separate = _is_separate(options, before[name], bool(neighbours))
     of_run = session.Options(
-        init=None if is_anew else checkpoint,
+        init=None if is_separate else checkpoint,
         seed=options.seed,
         device=options.device,
         threads=options.threads,
@@ -169,8 +170,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         run=run,
         origin=options.command,
     )
-    if is_anew:
-        reporter.message(f"{name}: a network of its own begins anew")
+    if is_separate:
+        reporter.message(f"{name}: a separate network begins from scratch")
         train_config = _own_train_config(options)
         changes = _changes({"task": train_config.run.task, "overrides": []}, robot, name, near[:1], options.overrides)
     else:
@@ -186,7 +187,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         train_config,
         changes,
         robots=[robot, *neighbours],
-        slots=[] if is_anew or manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
+        slots=[] if is_separate or manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
     )
     _, runner = session.train_with(of_run, Workers.alone(), goal=goal, plan=plan, reporter=reporter)
     runner.env.unwrapped.close()
@@ -257,17 +258,17 @@ def _has_gpu(options: Options) -> bool:
     return options.device != "cpu" and torch.cuda.is_available()
 
 
-def _begins_anew(options: Options, before: Walking, has_neighbours: bool) -> bool:
-    """Whether a network of the robot's own promises more than the policy."""
-    if options.anew != "auto":
-        return options.anew == "always"
+def _is_separate(options: Options, before: Walking, has_neighbours: bool) -> bool:
+    """Whether a separate network promises more than the policy."""
+    if options.separate != "auto":
+        return options.separate == "always"
     return _has_gpu(options) and not has_neighbours and before.fall_rate > HOPELESS
 
 
 def _own_train_config(options: Options) -> TrainConfig:
-    """The settings of a network of the robot's own."""
+    """The settings of a separate network."""
     _, of_training = config.split_overrides(options.overrides)
-    return config.load(options.train_config or ANEW, of_training)
+    return config.load(options.train_config or SEPARATE, of_training)
 
 
 def _train_config(

@@ -132,7 +132,7 @@ def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> 
     hangs on the hip, joint limits, weak and strong motors, slow and fast ones, dry friction, and
     soft and stiff gains. Bodies on two legs are those of `polypod.bodies_on_two_legs`.
     """
-    from polypod import bodies_on_two_legs  # which draws with the parts of this module
+    from polypod import bodies_on_two_legs  # it draws with the parts of this module
 
     on_two_legs = bodies_on_two_legs.draw if wide else _biped
     makers = {

@@ -1,7 +1,7 @@
 """Bipeds and humanoids as different as makers build them, for `polypod bodies generate --wide`.
 
 A body is drawn standing upright on straight legs with hanging arms, the upright pose. Every angle
-counts from there. What makers choose differently comes on top: the pose that a file calls zero, the
+counts from there. The choices of makers come on top: the pose that a file calls zero, the
 place of its base frame, canted axes, limits, and drives of each group of joints. The default pose
 follows: soles are level, below the centre of mass. Lengths are shares of the leg's.
 """
@@ -81,7 +81,7 @@ def draw(name: str, rng: np.random.Generator, arms: bool) -> Body:
 
 @dataclasses.dataclass(frozen=True)
 class _End:
-    """What a leg stands on."""
+    """The part of a leg that stands on the ground."""
 
     link: str
     middle: Vector
@@ -178,7 +178,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
 def _at_most(
     most: float, shares: Mapping[str, float], times: Mapping[str, float], otherwise: float
 ) -> dict[str, float]:
-    """Shares of the mass of parts that there are so many times, less where they are too much."""
+    """Shares of the mass, less where parts, of which there are `times`, have more than `most`."""
     total = sum(times.get(part, otherwise) * share for part, share in shares.items())
     return {part: share * min(1.0, most / total) for part, share in shares.items()}
 

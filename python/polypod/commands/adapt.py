@@ -43,11 +43,11 @@ class Adapt:
     """Iterations between two measurements."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
-    the policy's. Default: adapt; with a GPU adapt_on_gpu; for a network of the robot's own, which
-    has its networks and task too, adapt_anew."""
-    anew: Literal["auto", "always", "never"] = "auto"
-    """Train a network of the robot's own from scratch in place of the policy. auto: where the
-    policy falls in more than half of the episodes and a GPU is there."""
+    the policy's. Default: adapt; with a GPU adapt_on_gpu; adapt_separate for a separate network,
+    which says its networks and task too."""
+    separate: Literal["auto", "always", "never"] = "auto"
+    """Train a separate network from scratch in place of the policy. auto: where the policy falls in
+    more than half of the episodes and a GPU is there."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")
@@ -85,7 +85,7 @@ class Adapt:
             max_minutes=self.max_minutes,
             every=self.every,
             train_config=self.train_config,
-            anew=self.anew,
+            separate=self.separate,
             seed=self.seed,
             log_dir=self.log_dir,
             device=self.device,

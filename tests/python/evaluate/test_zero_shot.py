@@ -1,4 +1,4 @@
-"""`lab.zero_shot` judges the robots of a folder by what `eval` measures, and goes on after a refusal."""
+"""`lab.zero_shot` measures the robots of a folder as `eval` does, and goes on after a refusal."""
 
 import json
 import sys

@@ -221,7 +221,7 @@ def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured)
         (("unitree_go1", "--train-config", "nothing"), "nothing"),
         (("unitree_go1", "--checkpoint", "nothing.pt"), "nothing.pt"),
         (("unitree_h1", "--checkpoint", "flat", *FLAGS), "twelve joints"),
-        (("unitree_go1", "--anew", "always", "--neighbours", "1", *FLAGS), "--neighbours"),
+        (("unitree_go1", "--separate", "always", "--neighbours", "1", *FLAGS), "--neighbours"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, tuple) else "",
 )
@@ -237,14 +237,14 @@ def test_the_settings_are_a_train_config_of_its_own():
     settings = config.load(adapt.TRAIN_CONFIG)
     assert settings.run.task == "velocity_flat_any_legged"
     assert settings.run.num_envs * settings.run.num_steps_per_env <= 10_000
-    on_gpu, anew = config.load(adapt.ON_GPU), config.load(adapt.ANEW)
+    on_gpu, separate = config.load(adapt.ON_GPU), config.load(adapt.SEPARATE)
     assert on_gpu.run.num_envs > settings.run.num_envs
-    # a network of the robot's own has a task and sizes of its own, and goals that stay
-    assert anew.actor.class_name == "MLPModel"
-    assert anew.goals(0) == anew.goals(50_000)
+    # a separate network has its own task and sizes, and goals that stay
+    assert separate.actor.class_name == "MLPModel"
+    assert separate.goals(0) == separate.goals(50_000)
 
 
-def test_a_policy_that_falls_at_once_gives_way_to_a_network_of_its_own(cli, tmp_path, measured, monkeypatch):
+def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_path, measured, monkeypatch):
     falls = dataclasses.replace(bad(0.4), fall_rate=1.0)
     # with a GPU; without one the policy goes on
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
@@ -252,7 +252,7 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_network_of_its_own(cli, tmp_
     (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
     done = cli("adapt", "unitree_h1", *FLAGS)
     assert done.returncode == 0, done.stderr
-    assert "a network of its own begins anew" in done.stdout
+    assert "a separate network begins from scratch" in done.stdout
     (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
     (checkpoint,) = run.glob("model_*.pt")
     manifest = run_dir.read_manifest(checkpoint)
@@ -262,7 +262,7 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_network_of_its_own(cli, tmp_
 
 
 @pytest.mark.parametrize(
-    ("anew", "has_gpu", "falls", "neighbours", "begins"),
+    ("separate", "has_gpu", "falls", "neighbours", "begins"),
     [
         ("auto", True, 0.9, False, True),
         ("auto", True, 0.2, False, False),
@@ -272,10 +272,10 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_network_of_its_own(cli, tmp_
         ("never", True, 1.0, False, False),
     ],
 )
-def test_when_a_network_of_its_own_begins(monkeypatch, anew, has_gpu, falls, neighbours, begins):
+def test_when_a_separate_network_begins(monkeypatch, separate, has_gpu, falls, neighbours, begins):
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
     before = dataclasses.replace(FIGURES, fall_rate=falls)
-    assert adapt._begins_anew(adapt.Options("spot", anew=anew), before, neighbours) is begins
+    assert adapt._is_separate(adapt.Options("spot", separate=separate), before, neighbours) is begins
 
 
 def test_a_critic_goes_on_for_another_body():
