@@ -26,6 +26,9 @@ const GROUND: f64 = 0.3;
 /// A leg hangs stretched if it reaches this share of its length below its hip.
 const STRETCHED: f64 = 0.7;
 
+/// Limbs that hang on a torso from higher above it than this share of their reach are arms.
+const RAISED: f64 = 0.2;
+
 /// Number of positions of a joint that are tried.
 const ANGLES: u32 = 19;
 
@@ -161,6 +164,17 @@ impl<'a> ZeroPose<'a> {
             reaches_down && bottoms[*limb] <= ground + GROUND * (top - ground)
         };
         (0..limbs.len()).filter(is_leg).collect()
+    }
+
+    /// Whether a limb hangs from above the joints of the torso that carries it: an arm that reaches
+    /// the ground is no leg.
+    pub fn hangs_above(&self, torso: &[usize], limb: &LimbChain) -> bool {
+        let first = limb.joints[0];
+        let Some(last) = self.chain_to(first + 1).into_iter().rev().find(|joint| torso.contains(joint)) else {
+            return false;
+        };
+        let top = self.position(first).z;
+        top - self.position(last).z > RAISED * (top - feet::lowest_below(self, first))
     }
 
     /// Hip abduction, hip flexion and knee of every chain that can be a leg of a body whose legs

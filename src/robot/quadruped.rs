@@ -51,8 +51,8 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
             pose,
             "<robot>",
             format!("{problem}: {}", list(pose, &chains)),
-            "name all joints of the legs in joint_roles (--role SLOT=JOINT of robot new), or lock the joints that are no legs' \
-             in locked_joints (--lock JOINT=POSITION)",
+            "let the base frame have x forward and y left, name all joints of the legs in joint_roles (--role SLOT=JOINT of \
+             robot new), or lock the joints that are no legs' in locked_joints (--lock JOINT=POSITION)",
         ));
     }
 

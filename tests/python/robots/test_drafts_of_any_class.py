@@ -309,3 +309,27 @@ def test_a_waist_between_the_base_and_the_legs_is_a_torso(tmp_path, aside):
 def write(file, text):
     file.write_text(text)
     return file
+
+
+@pytest.mark.parametrize(("height", "is_upper_body"), [(0.3, True), (-0.03, False)])
+def test_arms_above_a_spine_are_no_legs(tmp_path, height, is_upper_body):
+    """Half a humanoid does not walk on its hands."""
+    text = crooked(0.02, 0.79).replace('"trunk"', '"chest"').replace("</robot>", "")
+    for side in ("0.08", "-0.08"):
+        text = text.replace(f'<origin xyz="0.0 {side} -0.03"/>', f'<origin xyz="0.0 {side} {height}"/>')
+    limits = (-0.5, 0.5, 40.0, 15.0)
+    text += "".join(
+        [
+            link("block", 5.0, (0.2, 0.2, 0.1)),
+            link("spine", 0.3, (0.05, 0.05, 0.05)),
+            joint("turn", "block", "spine", (0.0, 0.0, 0.05), "0 0 1", limits),
+            joint("bow", "spine", "chest", (0.0, 0.0, 0.0), "0 1 0", limits),
+            "</robot>",
+        ]
+    )
+    file = write(tmp_path / "half.urdf", text)
+    if is_upper_body:
+        with pytest.raises(_core.RobotError, match="legs"):
+            _core.draft_robot(file)
+    else:
+        assert tomllib.loads(_core.draft_robot(file)["toml"])["joint_roles"]["L_KNEE"] == "ld"
