@@ -9,6 +9,7 @@ robot gets a separate network, which begins from scratch. Measuring and stopping
 import contextlib
 import dataclasses
 import json
+import math
 import shlex
 import shutil
 import time
@@ -36,7 +37,8 @@ TRAIN_CONFIG, ON_GPU, SEPARATE = "adapt", "adapt_on_gpu", "adapt_separate"
 CRITIC_WARMUP = 10
 """Iterations in which a new critic learns before the policy moves."""
 HOPELESS = 0.5
-"""A policy that falls in more than this share of the episodes is no beginning, with a GPU."""
+"""A policy that falls in more than this share of the episodes, and before it ends any turn or stop,
+is no beginning."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -66,8 +68,8 @@ class Options:
     """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
     network."""
     separate: Literal["auto", "always", "never"] = "auto"
-    """Whether the robot gets a separate network: auto where the policy falls in more than half of
-    the episodes and a GPU is there."""
+    """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
+    or a stop, and a GPU is there."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
     device: str = "auto"
@@ -262,7 +264,8 @@ def _is_separate(options: Options, before: Walking, has_neighbours: bool) -> boo
     """Whether a separate network promises more than the policy."""
     if options.separate != "auto":
         return options.separate == "always"
-    return _has_gpu(options) and not has_neighbours and before.fall_rate > HOPELESS
+    falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
+    return _has_gpu(options) and not has_neighbours and falls_at_once
 
 
 def _own_train_config(options: Options) -> TrainConfig:

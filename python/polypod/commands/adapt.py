@@ -46,8 +46,8 @@ class Adapt:
     the policy's. Default: adapt; with a GPU adapt_on_gpu; adapt_separate for a separate network,
     which says its networks and task too."""
     separate: Literal["auto", "always", "never"] = "auto"
-    """Train a separate network from scratch in place of the policy. auto: where the policy falls in
-    more than half of the episodes and a GPU is there."""
+    """Train a separate network from scratch in place of the policy. auto: where the policy falls
+    before it ends a turn or a stop, and a GPU is there."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")

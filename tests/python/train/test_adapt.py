@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import signal
 
@@ -244,8 +245,13 @@ def test_the_settings_are_a_train_config_of_its_own():
     assert separate.goals(0) == separate.goals(50_000)
 
 
+AT_ONCE = {"fall_rate": 1.0, "turn_reached": math.nan, "drift_xy": math.nan}
+LATER = {"fall_rate": 1.0, "turn_reached": 0.9, "drift_xy": math.nan}
+"""Figures of robots that fall within a second, and when they are told to step aside."""
+
+
 def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_path, measured, monkeypatch):
-    falls = dataclasses.replace(bad(0.4), fall_rate=1.0)
+    falls = dataclasses.replace(bad(0.4), **AT_ONCE)
     # with a GPU; without one the policy goes on
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
     measured(falls, FIGURES, FIGURES)
@@ -264,17 +270,18 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
 @pytest.mark.parametrize(
     ("separate", "has_gpu", "falls", "neighbours", "begins"),
     [
-        ("auto", True, 0.9, False, True),
-        ("auto", True, 0.2, False, False),
-        ("auto", False, 0.9, False, False),
-        ("auto", True, 0.9, True, False),
-        ("always", False, 0.0, False, True),
-        ("never", True, 1.0, False, False),
+        ("auto", True, AT_ONCE, False, True),
+        ("auto", True, LATER, False, False),
+        ("auto", True, {}, False, False),
+        ("auto", False, AT_ONCE, False, False),
+        ("auto", True, AT_ONCE, True, False),
+        ("always", False, {}, False, True),
+        ("never", True, AT_ONCE, False, False),
     ],
 )
 def test_when_a_separate_network_begins(monkeypatch, separate, has_gpu, falls, neighbours, begins):
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
-    before = dataclasses.replace(FIGURES, fall_rate=falls)
+    before = dataclasses.replace(FIGURES, **falls)
     assert adapt._is_separate(adapt.Options("spot", separate=separate), before, neighbours) is begins
 
 
