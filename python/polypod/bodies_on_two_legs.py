@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from polypod.bodies import HIP_ORDERS, Body, Drive, Joint, Link, Vector, _around, _log_uniform
+from polypod.body_parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform
 
 Matrix = npt.NDArray[np.float64]
 
@@ -52,9 +52,9 @@ class _Part:
 
 def draw(name: str, rng: np.random.Generator, arms: bool) -> Body:
     """Draws a body on two legs, with arms or without."""
-    leg = _log_uniform(rng, 0.17, 1.0)
+    leg = log_uniform(rng, 0.17, 1.0)
     # light legs of machines that hop, heavy chests of small humanoids
-    mass = 36.0 * (leg / 0.7) ** 3 * (_log_uniform(rng, 0.45, 2.6) if arms else _log_uniform(rng, 0.12, 2.0))
+    mass = 36.0 * (leg / 0.7) ** 3 * (log_uniform(rng, 0.45, 2.6) if arms else log_uniform(rng, 0.12, 2.0))
     has_soles = arms or bool(rng.random() >= POINTS)
     parts = [_Part(Link("base", 0.0, "box", (1.0, 1.0, 1.0)))]
     ends = _legs(parts, rng, leg, mass, has_soles)
@@ -111,11 +111,11 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
     ahead = leg * np.array([_beside(rng, 0.06), _beside(rng, 0.06)])
     back = -1.0 if rng.random() < (0.12 if has_soles else 0.6) else 1.0
     shares = {
-        "hip": _log_uniform(rng, 0.006, 0.06),
-        "thigh": _log_uniform(rng, 0.045, 0.14),
-        "shank": _log_uniform(rng, 0.016, 0.08),
-        "ankle": _log_uniform(rng, 0.002, 0.015),
-        "sole": _log_uniform(rng, 0.004, 0.062),
+        "hip": log_uniform(rng, 0.006, 0.06),
+        "thigh": log_uniform(rng, 0.045, 0.14),
+        "shank": log_uniform(rng, 0.016, 0.08),
+        "ankle": log_uniform(rng, 0.002, 0.015),
+        "sole": log_uniform(rng, 0.004, 0.062),
     }
     shares = _at_most(_IN_LEGS, shares, {"hip": 2.0 * (len(order) - 1)}, 2.0)
     limits = {
@@ -222,13 +222,13 @@ def _upper_body(parts: list[_Part], rng: np.random.Generator, leg: float, mass: 
     with_yaw, wrists = rng.random() < 0.8, int(rng.choice([0, 1, 3], p=[0.55, 0.2, 0.25]))
     with_head = bool(rng.random() < 0.5)
     arm_share = {
-        "shoulder": _log_uniform(rng, 0.006, 0.04),
-        "upper": _log_uniform(rng, 0.012, 0.05),
-        "fore": _log_uniform(rng, 0.006, 0.05),
-        "wrist": _log_uniform(rng, 0.003, 0.025),
+        "shoulder": log_uniform(rng, 0.006, 0.04),
+        "upper": log_uniform(rng, 0.012, 0.05),
+        "fore": log_uniform(rng, 0.006, 0.05),
+        "wrist": log_uniform(rng, 0.003, 0.025),
     }
     arm_share = _at_most(_IN_ARMS, arm_share, {"wrist": 2.0 * wrists}, 2.0)
-    head_share = _log_uniform(rng, 0.008, 0.06) if with_head else 0.0
+    head_share = log_uniform(rng, 0.008, 0.06) if with_head else 0.0
     in_arms = 2.0 * mass * (sum(arm_share.values()) + (wrists - 1) * arm_share["wrist"])
     rest -= in_arms + head_share * mass
     depth = leg * rng.uniform(0.16, 0.3)
@@ -395,7 +395,7 @@ def _stand(parts: list[_Part], rng: np.random.Generator, leg: float, ends: Seque
     for part in parts:
         if part.joint:
             part.angle = angles[part.joint]
-            part.lower, part.upper = _around(part.angle, part.lower, part.upper)
+            part.lower, part.upper = around(part.angle, part.lower, part.upper)
 
 
 def _reach(
@@ -504,11 +504,11 @@ def _drives(
     parts: Sequence[_Part], rng: np.random.Generator, leg: float, mass: float, has_soles: bool
 ) -> tuple[dict[str, Drive], float]:
     """Drives of the groups of joints, and dry friction."""
-    stiffness = _log_uniform(rng, 0.18, 1.35)
-    effort = _log_uniform(rng, 0.11, 1.0)
-    time = _log_uniform(rng, 1 / 60, 1 / 18)
-    armature = 0.0 if rng.random() < 0.45 else _log_uniform(rng, 2e-5, 4e-4)
-    speed = _log_uniform(rng, 0.45, 2.2)
+    stiffness = log_uniform(rng, 0.18, 1.35)
+    effort = log_uniform(rng, 0.11, 1.0)
+    time = log_uniform(rng, 1 / 60, 1 / 18)
+    armature = 0.0 if rng.random() < 0.45 else log_uniform(rng, 2e-5, 4e-4)
+    speed = log_uniform(rng, 0.45, 2.2)
     # one motor in every joint, or the makers' choice for each; gains that follow from weight and
     # leg, or softer ones at the ankles
     alike, drafted = bool(rng.random() < 0.3), bool(rng.random() < 0.4)
@@ -529,15 +529,15 @@ def _drives(
     drives = {}
     for group in dict.fromkeys(part.group for part in parts if part.joint):
         strong, stiff = rng.uniform(0.7, 1.5), rng.uniform(0.7, 1.2)
-        quick = _log_uniform(rng, 0.6, 1.6)
+        quick = log_uniform(rng, 0.6, 1.6)
         if group in shares:
             low, high, soft, hard = shares[group]
-            strong, stiff = _log_uniform(rng, low, high), _log_uniform(rng, soft, hard)
+            strong, stiff = log_uniform(rng, low, high), log_uniform(rng, soft, hard)
             if drafted and group.startswith("ankle"):
                 stiff = 1.0
         if alike:
             strong = quick = 1.0
-        slow = _log_uniform(rng, 1.0, 4.0) if group in ("shoulders", "elbows", "wrists", "head") else 1.0
+        slow = log_uniform(rng, 1.0, 4.0) if group in ("shoulders", "elbows", "wrists", "head") else 1.0
         drives[group] = Drive(
             stiffness=stiffness * (stiff if not drafted or group in shares else 1.0),
             effort=max(effort * strong, least.get(group, 0.04)),
@@ -545,5 +545,5 @@ def _drives(
             armature=armature * strong,
             speed=speed * quick,
         )
-    dry = 0.0 if rng.random() < 0.6 else _log_uniform(rng, 5e-4, 2e-2)
+    dry = 0.0 if rng.random() < 0.6 else log_uniform(rng, 5e-4, 2e-2)
     return drives, min(dry, 0.1 * min(drive.effort for drive in drives.values()))
