@@ -146,6 +146,12 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
             raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
         changes = _changes(manifest, robot, name, near[:1], options.overrides)
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
+        other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
+        if other is not None and not walks(before[name]):
+            of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
+            with_other = _measured(other, [robot], of_other, options)
+            if walks(with_other[name]):
+                checkpoint, before = other, with_other
     except BaseException:
         shutil.rmtree(run, ignore_errors=True)
         raise
@@ -238,6 +244,11 @@ def _fitting_policy(robot: str) -> Path:
     sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
     (info,) = json.loads(sim.robot_info()).values()
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
+
+
+def _other_policy(checkpoint: Path) -> Path | None:
+    """The policy of all legs, with which a robot may walk that does not walk with that of four."""
+    return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
 def _changes(

@@ -70,6 +70,16 @@ def test_a_robot_that_walks_needs_no_training(cli, tmp_path, measured):
     assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
 
 
+def test_a_robot_on_four_legs_may_walk_with_the_policy_of_all_legs(cli, tmp_path, measured):
+    measured(bad(0.4), FIGURES)
+    done = cli("adapt", "unitree_go1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "unitree_go1 walks without training; see it: polypod play --checkpoint legged" in " ".join(
+        done.stdout.split()
+    )
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+
+
 def test_it_trains_until_the_robot_walks(cli, tmp_path, measured):
     # before; two measurements, the second with its confirmation
     measured(bad(0.4), bad(0.3), FIGURES, FIGURES)
@@ -128,7 +138,8 @@ def test_an_interrupt_keeps_what_there_is(cli, tmp_path, measured, monkeypatch):
 
 def test_a_urdf_is_drafted_beside_the_run_and_rewarded_like_the_robot_most_like_it(cli, tmp_path, measured):
     shutil.copy(_core_urdf("solo12"), tmp_path / "My-Dog.urdf")
-    measured(bad(0.4), FIGURES, FIGURES)
+    # with quadruped, with legged, and after the training
+    measured(bad(0.4), bad(0.4), FIGURES, FIGURES)
     done = cli("adapt", "My-Dog.urdf", *FLAGS)
     assert done.returncode == 0, done.stderr
     (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_my_dog")
