@@ -1,19 +1,23 @@
 """From a policy that does not walk with a robot to one that does: `polypod adapt`.
 
 A short training that begins with the policy, of the robot alone or with robots that are described
-most like it, and ends when the robot walks. Measuring and stopping are `polypod.training.goal`,
-training is `polypod.training.session`.
+most like it, and ends when the robot walks. Where the policy falls at once and a GPU is there, the
+robot gets a separate network, which begins from scratch. Measuring and stopping are
+`polypod.training.goal`, training is `polypod.training.session`.
 """
 
 import contextlib
 import dataclasses
 import json
+import math
 import shlex
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import torch
 
 from polypod import _core, bundled, descriptions, runs
 from polypod.compat import tomllib
@@ -28,7 +32,13 @@ from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_l
 from polypod.training.report import Iteration, Reporter, walking_cells
 from polypod.training.workers import Workers
 
-TRAIN_CONFIG = "adapt"
+TRAIN_CONFIG, ON_GPU, SEPARATE = "adapt", "adapt_on_gpu", "adapt_separate"
+"""Train configs: on a CPU, with a GPU, and for a separate network of the robot."""
+CRITIC_WARMUP = 10
+"""Iterations in which a new critic learns before the policy moves."""
+HOPELESS = 0.5
+"""A policy that falls in more than this share of the episodes, and before it ends any turn or stop,
+is no beginning."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -37,6 +47,7 @@ EVERY = 10
 FOUR_LEGS, OTHERS = "quadruped", "legged"
 """Bundled policies to begin with."""
 URDF = ".urdf"
+NO_NOISE = "observations.enable_noise=false"
 _OF_POLICY = ("task", "task_changes", "symmetry", "normalize_reward_per_robot", "normalize_advantage_per_robot")
 """Keys of [run] that stay as the policy was trained."""
 
@@ -53,7 +64,12 @@ class Options:
     """Robots of the library to train with, so that nothing is forgotten."""
     max_minutes: float = MAX_MINUTES
     every: int = EVERY
-    train_config: str = TRAIN_CONFIG
+    train_config: str | None = None
+    """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
+    network."""
+    separate: Literal["auto", "always", "never"] = "auto"
+    """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
+    or a stop, and a GPU is there."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
     device: str = "auto"
@@ -70,7 +86,7 @@ class Options:
         words = ["polypod", "adapt", self.robot]
         if self.checkpoint is not None:
             words += ["--checkpoint", bundled.shown(self.checkpoint)]
-        for name in ("neighbours", "max_minutes", "every", "train_config", "seed"):
+        for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed"):
             if (value := getattr(self, name)) != getattr(Options, name):
                 words += [f"--{name.replace('_', '-')}", str(value)]
         words += [word for change in self.overrides for word in ("--set", change)]
@@ -110,7 +126,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     """
     began = time.monotonic()
     reporter = reporter or Progress()
-    config.load(options.train_config)  # its mistakes are said before anything is written
+    if options.train_config is not None:
+        config.load(options.train_config)  # its mistakes are said before anything is written
     given = Path(options.robot)
     run = run_dir.create(options.log_dir, EXPERIMENT, _robot_name(given))
     try:
@@ -125,8 +142,16 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         library = {entry["name"] for entry in _core.robots()}
         near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
         neighbours = near[: options.neighbours]
+        if neighbours and options.separate == "always":
+            raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
         changes = _changes(manifest, robot, name, near[:1], options.overrides)
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
+        other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
+        if other is not None and not walks(before[name]):
+            of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
+            with_other = _measured(other, [robot], of_other, options)
+            if walks(with_other[name]):
+                checkpoint, before = other, with_other
     except BaseException:
         shutil.rmtree(run, ignore_errors=True)
         raise
@@ -143,8 +168,9 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
     )
+    is_separate = _is_separate(options, before[name], bool(neighbours))
     of_run = session.Options(
-        init=checkpoint,
+        init=None if is_separate else checkpoint,
         seed=options.seed,
         device=options.device,
         threads=options.threads,
@@ -152,14 +178,24 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         run=run,
         origin=options.command,
     )
-    # shares of the training alone, which no evaluation needs
-    shares = [f"env_shares.{name}={len(neighbours)}"] if len(neighbours) > 1 else []
+    if is_separate:
+        reporter.message(f"{name}: a separate network begins from scratch")
+        train_config = _own_train_config(options)
+        changes = _changes({"task": train_config.run.task, "overrides": []}, robot, name, near[:1], options.overrides)
+    else:
+        # shares of the training alone, which no evaluation needs
+        shares = [f"env_shares.{name}={len(neighbours)}"] if len(neighbours) > 1 else []
+        has_critic = "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
+        train_config = _train_config(options, manifest, shares, has_critic)
+        if "distillation" in manifest["train_config"]:
+            # it was taught with sensors better than those of the task
+            changes = [*changes, NO_NOISE]
     plan = session.settle(
         of_run,
-        _train_config(options, manifest, shares),
+        train_config,
         changes,
         robots=[robot, *neighbours],
-        slots=[] if manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
+        slots=[] if is_separate or manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
     )
     _, runner = session.train_with(of_run, Workers.alone(), goal=goal, plan=plan, reporter=reporter)
     runner.env.unwrapped.close()
@@ -210,6 +246,11 @@ def _fitting_policy(robot: str) -> Path:
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
 
 
+def _other_policy(checkpoint: Path) -> Path | None:
+    """The policy of all legs, with which a robot may walk that does not walk with that of four."""
+    return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
+
+
 def _changes(
     manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
 ) -> list[str]:
@@ -226,17 +267,42 @@ def _changes(
     return [*trained, *of_robot, *of_task]
 
 
-def _train_config(options: Options, manifest: Mapping[str, Any], shares: Sequence[str]) -> TrainConfig:
+def _has_gpu(options: Options) -> bool:
+    return options.device != "cpu" and torch.cuda.is_available()
+
+
+def _is_separate(options: Options, before: Walking, has_neighbours: bool) -> bool:
+    """Whether a separate network promises more than the policy."""
+    if options.separate != "auto":
+        return options.separate == "always"
+    falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
+    return _has_gpu(options) and not has_neighbours and falls_at_once
+
+
+def _own_train_config(options: Options) -> TrainConfig:
+    """The settings of a separate network."""
+    _, of_training = config.split_overrides(options.overrides)
+    return config.load(options.train_config or SEPARATE, of_training)
+
+
+def _train_config(
+    options: Options, manifest: Mapping[str, Any], shares: Sequence[str], has_critic: bool
+) -> TrainConfig:
     """The settings of the train config with networks, task and ranges of the policy."""
     _, of_training = config.split_overrides(options.overrides)
-    tables, policy = config.load(options.train_config).as_dict(), manifest["train_config"]
+    name = options.train_config or (ON_GPU if _has_gpu(options) else TRAIN_CONFIG)
+    tables, policy = config.load(name).as_dict(), manifest["train_config"]
     kept = {key: policy["run"][key] for key in _OF_POLICY if key in policy["run"]}
     changes = descriptions.without_shares(kept.get("task_changes", []))
     tables["run"] = {**tables["run"], **kept, "task_changes": [*changes, *shares], "task": manifest["task"]}
     for section in ("actor", "critic", "obs_groups"):
         if section in policy:
             tables[section] = policy[section]
-    return config.changed(config.parse(tables, f"{options.train_config} for the policy"), of_training, "adapt")
+    if not has_critic:
+        # advantages of a critic that knows nothing yet undo the policy
+        least = max(CRITIC_WARMUP, tables["algorithm"]["critic_warmup_iterations"])
+        tables["algorithm"] = {**tables["algorithm"], "critic_warmup_iterations": least}
+    return config.changed(config.parse(tables, f"{name} for the policy"), of_training, "adapt")
 
 
 def _measured(

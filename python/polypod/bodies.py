@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from polypod import _core
+from polypod import _core, bodies_on_two_legs
+from polypod.body_parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform
 from polypod.files import new_folder, write_text
 
 KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
@@ -26,113 +27,20 @@ TASK = "velocity_flat_generated"
 GRAVITY = _core.EARTH_GRAVITY
 """Gravity, m/s^2."""
 
-Vector = tuple[float, float, float]
-
-
-@dataclasses.dataclass(frozen=True)
-class Link:
-    """A solid of uniform density with what it touches the world with."""
-
-    name: str
-    mass: float
-    """Mass of the link, kg."""
-    shape: str
-    """box, cylinder (along z) or sphere."""
-    size: tuple[float, ...]
-    """Edges; radius and length; radius; m."""
-    at: Vector = (0.0, 0.0, 0.0)
-    """Middle of the shape in the link's frame, m."""
-    along: str = "z"
-    """Axis of a cylinder: x or z."""
-
-    def inertia(self) -> Vector:
-        """Inertia of the solid about its middle, link axes, kg m^2."""
-        if self.shape == "box":
-            x, y, z = (edge * edge for edge in self.size)
-            return self.mass / 12 * (y + z), self.mass / 12 * (z + x), self.mass / 12 * (x + y)
-        if self.shape == "sphere":
-            same = 0.4 * self.mass * self.size[0] ** 2
-            return same, same, same
-        radius, length = self.size
-        across = self.mass * (radius**2 / 4 + length**2 / 12)
-        own = self.mass * radius**2 / 2
-        return (own, across, across) if self.along == "x" else (across, across, own)
-
-
-@dataclasses.dataclass(frozen=True)
-class Joint:
-    """A joint that turns; its canonical name, and its angle in the default pose."""
-
-    name: str
-    parent: str
-    child: str
-    at: Vector
-    axis: str
-    """Axis about which the joint turns: x, y or z."""
-    lower: float
-    upper: float
-    group: str
-    """Group of actuators."""
-    angle: float = 0.0
-    """In the default pose, rad."""
-    yaw: float = 0.0
-    """Angle of the joint's frame in its parent's, rad."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Drive:
-    """Drive of a joint, as shares of weight times leg length."""
-
-    stiffness: float
-    """Stiffness, 1/rad."""
-    effort: float
-    damping_time: float
-    """Damping over stiffness, s."""
-    armature: float
-    """Rotor inertia, s^2."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Body:
-    """A robot that was drawn."""
-
-    name: str
-    kind: str
-    links: list[Link]
-    """The base first."""
-    joints: list[Joint]
-    feet: list[tuple[str, str, Vector, float]]
-    """Massless spheres: name, link, place in its frame, radius, m. Bodies with soles have none."""
-    leg_length: float
-    """Length of a leg, m."""
-    reward_set: str
-    drives: dict[str, "Drive"]
-    """Drive of each group of actuators."""
-    action_scale: float
-    """rad per unit of action."""
-    speed: float = 1.0
-    """Factor on the speed limits, which are otherwise those of like motion."""
-    friction: float = 0.0
-    """Dry friction of all joints, as a share of weight times leg length."""
-
-    @property
-    def mass(self) -> float:
-        """Mass of all links, kg."""
-        return sum(link.mass for link in self.links)
-
 
 def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> Body:
     """Draws a body of one of `KINDS`. The same generator state gives the same body.
 
     With `wide`, quadrupeds also differ in what makers choose in different ways: where the thigh
     hangs on the hip, joint limits, weak and strong motors, slow and fast ones, dry friction, and
-    soft and stiff gains.
+    soft and stiff gains. Bodies on two legs are those of `polypod.bodies_on_two_legs`.
     """
+    on_two_legs = bodies_on_two_legs.draw if wide else _biped
     makers = {
         "quadruped": lambda: _quadruped(name, rng, abduction=True, wide=wide),
         "quadruped8": lambda: _quadruped(name, rng, abduction=False, wide=wide),
-        "biped": lambda: _biped(name, rng, arms=False),
-        "humanoid": lambda: _biped(name, rng, arms=True),
+        "biped": lambda: on_two_legs(name, rng, arms=False),
+        "humanoid": lambda: on_two_legs(name, rng, arms=True),
         "hexapod": lambda: _hexapod(name, rng),
     }
     if kind not in makers:
@@ -201,10 +109,6 @@ def _write(out: Path, bodies: Sequence[Body], seed: int) -> None:
         write_text(out / "configs" / "tasks" / f"{name}.toml", text)
 
 
-def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    return math.exp(rng.uniform(math.log(low), math.log(high)))
-
-
 def _bent(ahead: float, below: float, thigh: float, shank: float) -> tuple[float, float]:
     """Angles of hip and knee about y that put the end of a leg there from its hip.
 
@@ -224,10 +128,10 @@ def _rod(name: str, mass: float, length: float, radius: float) -> Link:
 def _drive(rng: np.random.Generator, stiffness: tuple[float, float]) -> Drive:
     """A drive of the legs, with a stiffness within a range."""
     return Drive(
-        stiffness=_log_uniform(rng, *stiffness),
-        effort=_log_uniform(rng, 0.18, 1.4),
-        damping_time=_log_uniform(rng, 1 / 60, 1 / 18),
-        armature=_log_uniform(rng, 2e-5, 4e-4),
+        stiffness=log_uniform(rng, *stiffness),
+        effort=log_uniform(rng, 0.18, 1.4),
+        damping_time=log_uniform(rng, 1 / 60, 1 / 18),
+        armature=log_uniform(rng, 2e-5, 4e-4),
     )
 
 
@@ -279,41 +183,32 @@ def _choices(rng: np.random.Generator) -> _Choices:
     hangs_below = rng.random() < 0.3
     turns_freely, abducts_freely = rng.random() < 0.15, rng.random() < 0.08
     return _Choices(
-        mass=_log_uniform(rng, 0.35, 1.3),
+        mass=log_uniform(rng, 0.35, 1.3),
         beside=rng.uniform(0.0, 1.0) if hangs_below else 1.0,
         below=rng.uniform(0.02, 0.16) if hangs_below else 0.0,
         spread=rng.uniform(0.0, 0.15),
-        light=_log_uniform(rng, 0.6, 1.1),
+        light=log_uniform(rng, 0.6, 1.1),
         inwards=math.pi if abducts_freely else rng.uniform(0.3, 1.3),
         outwards=math.pi if abducts_freely else rng.uniform(0.35, 1.6),
         hip=(-math.pi, math.pi) if turns_freely else (rng.uniform(-3.1, 0.1), rng.uniform(0.8, 4.6)),
         knee=(-math.pi, math.pi) if turns_freely else (rng.uniform(-3.1, -2.2), rng.uniform(-1.1, 0.4)),
-        speed=_log_uniform(rng, 0.35, 5.0),
-        stiffness=_log_uniform(rng, 0.8, 1.5),
-        effort=_log_uniform(rng, 0.7, 1.2),
-        armature=0.0 if rng.random() < 0.3 else _log_uniform(rng, 0.3, 2.0),
-        friction=0.0 if rng.random() < 0.5 else _log_uniform(rng, 5e-4, 8e-3),
+        speed=log_uniform(rng, 0.35, 5.0),
+        stiffness=log_uniform(rng, 0.8, 1.5),
+        effort=log_uniform(rng, 0.7, 1.2),
+        armature=0.0 if rng.random() < 0.3 else log_uniform(rng, 0.3, 2.0),
+        friction=0.0 if rng.random() < 0.5 else log_uniform(rng, 5e-4, 8e-3),
     )
-
-
-_AROUND = 0.2
-"""Joints can move at least this far to either side of the default pose, rad."""
-
-
-def _around(angle: float, lower: float, upper: float) -> tuple[float, float]:
-    """Limits that leave room about an angle."""
-    return min(lower, angle - _AROUND), max(upper, angle + _AROUND)
 
 
 def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool) -> Body:
     choices = _choices(np.random.default_rng(rng.integers(1 << 32))) if wide else _Choices()
-    leg = _log_uniform(rng, 0.22, 0.9)
+    leg = log_uniform(rng, 0.22, 0.9)
     thigh = leg * rng.uniform(0.42, 0.58)
     shank = leg - thigh
     length, width, height = leg * rng.uniform(0.75, 1.5), leg * rng.uniform(0.2, 0.55), leg * rng.uniform(0.15, 0.35)
-    mass = 15.0 * (leg / 0.426) ** 3 * _log_uniform(rng, 0.5, 1.6) * choices.mass
+    mass = 15.0 * (leg / 0.426) ** 3 * log_uniform(rng, 0.5, 1.6) * choices.mass
     hip = leg * rng.uniform(0.06, 0.28)
-    heavy = {part: _log_uniform(rng, 0.5, 1.8) * choices.light for part in ("hip", "thigh", "shank")}
+    heavy = {part: log_uniform(rng, 0.5, 1.8) * choices.light for part in ("hip", "thigh", "shank")}
     shares = {
         "hip": 0.04 * heavy["hip"],
         "thigh": 0.065 * heavy["thigh"] * 2 * thigh / leg,
@@ -339,7 +234,7 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool)
             links.append(Link(names[0], shares["hip"] * mass, "sphere", (0.1 * leg,)))
             low, high = (-choices.inwards, choices.outwards) if y > 0 else (-choices.outwards, choices.inwards)
             if wide:
-                low, high = _around(spread * y, low, high)
+                low, high = around(spread * y, low, high)
             joints.append(Joint(f"{place}_HAA", "base", names[0], corner, "x", low, high, "legs", spread * y))
         # legs that cannot spread stand as far apart as those that can
         beside = (corner[0], y * (width / 2 + hip + 0.07 * leg), 0.0)
@@ -351,7 +246,7 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool)
         if back < 0:
             low, high, lower, upper = -high, -low, -upper, -lower
         if wide:
-            (low, high), (lower, upper) = _around(flexion, low, high), _around(bend, lower, upper)
+            (low, high), (lower, upper) = around(flexion, low, high), around(bend, lower, upper)
         joints.append(Joint(f"{place}_HFE", parent, names[1], at, "y", low, high, "legs", flexion))
         joints.append(Joint(f"{place}_KFE", names[1], names[2], (0.0, 0.0, -thigh), "y", lower, upper, "knees", bend))
         feet.append((names[3], names[2], (0.0, 0.0, -shank), radius))
@@ -370,22 +265,18 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool)
     return Body(name, kind, links, joints, feet, leg, "quadruped", drives, scale, choices.speed, choices.friction)
 
 
-HIP_ORDERS = ("yaw roll pitch", "pitch roll yaw", "roll yaw pitch", "roll pitch yaw", "pitch yaw roll")
-"""From the base to the thigh."""
-
-
 def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
-    leg = _log_uniform(rng, 0.3, 1.0)
+    leg = log_uniform(rng, 0.3, 1.0)
     thigh = leg * rng.uniform(0.44, 0.56)
     shank = leg - thigh
-    mass = 36.0 * (leg / 0.7) ** 3 * _log_uniform(rng, 0.5, 1.6)
+    mass = 36.0 * (leg / 0.7) ** 3 * log_uniform(rng, 0.5, 1.6)
     width = leg * rng.uniform(0.2, 0.4)
     sole = (leg * rng.uniform(0.24, 0.4), leg * rng.uniform(0.09, 0.18), 0.04 * leg)
     ankle_roll, torso = bool(rng.random() < 0.7), arms and bool(rng.random() < 0.5)
     has_soles = arms or bool(rng.random() < 0.8)
     order = str(rng.choice(HIP_ORDERS)).split()
     upper_arm, forearm = leg * rng.uniform(0.3, 0.4), leg * rng.uniform(0.3, 0.4)
-    heavy = {part: _log_uniform(rng, 0.6, 1.5) for part in ("hip", "thigh", "shank")}
+    heavy = {part: log_uniform(rng, 0.6, 1.5) for part in ("hip", "thigh", "shank")}
     shares = {
         "hip": 0.03 * heavy["hip"],
         "thigh": 0.08 * heavy["thigh"] * 2 * thigh / leg,
@@ -472,7 +363,7 @@ def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
 
 
 def _hexapod(name: str, rng: np.random.Generator) -> Body:
-    leg = _log_uniform(rng, 0.15, 0.6)
+    leg = log_uniform(rng, 0.15, 0.6)
     femur = leg * rng.uniform(0.38, 0.5)
     tibia = leg - femur
     coxa = leg * rng.uniform(0.12, 0.22)
@@ -520,6 +411,9 @@ def _shape(link: Link) -> str:
     return f'<cylinder radius="{_number(link.size[0])}" length="{_number(link.size[1])}"/>'
 
 
+_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+
+
 def urdf(body: Body) -> str:
     """The URDF of a body. Feet are links without mass, fixed to their legs."""
     limits = _limits(body)
@@ -535,7 +429,7 @@ def urdf(body: Body) -> str:
         joint = by_child.get(link.name)
         if joint is not None:
             effort, velocity = limits[joint.group]
-            axis = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}[joint.axis]
+            axis = _AXES[joint.axis] if isinstance(joint.axis, str) else _numbers(joint.axis)
             out += [
                 f'  <joint name="{joint.name}" type="revolute">',
                 f'    <origin xyz="{_numbers(joint.at)}" rpy="0 0 {_number(joint.yaw)}"/>',
@@ -546,12 +440,13 @@ def urdf(body: Body) -> str:
                 "  </joint>",
             ]
         x, y, z = link.inertia()
-        turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else ""
+        own = f' rpy="{_numbers(link.turned)}"' if any(link.turned) else ""
+        turned = ' rpy="0 1.5707963267948966 0"' if link.along == "x" else own
         inertia = f'ixx="{_number(x)}" iyy="{_number(y)}" izz="{_number(z)}" ixy="0" ixz="0" iyz="0"'
         shape = f'<origin xyz="{_numbers(link.at)}"{turned}/><geometry>{_shape(link)}</geometry>'
         out += [
             f'  <link name="{link.name}">',
-            f'    <inertial><origin xyz="{_numbers(link.at)}"/><mass value="{_number(link.mass)}"/>',
+            f'    <inertial><origin xyz="{_numbers(link.at)}"{own}/><mass value="{_number(link.mass)}"/>',
             f"      <inertia {inertia}/></inertial>",
             f"    <visual>{shape}</visual>",
             f"    <collision>{shape}</collision>",
@@ -575,7 +470,7 @@ def _limits(body: Body) -> dict[str, tuple[float, float]]:
     """
     load = body.mass * GRAVITY * body.leg_length
     speed = 20.0 * body.speed * math.sqrt(0.4 / body.leg_length)
-    return {group: (drive.effort * load, speed) for group, drive in body.drives.items()}
+    return {group: (drive.effort * load, speed * drive.speed) for group, drive in body.drives.items()}
 
 
 def toml(body: Body, seed: int) -> str:

@@ -161,7 +161,8 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         (Positional("spot"), *_CHECKPOINT, "--max-minutes", "0.0001", "--every", "1", "--threads", "1"),
         {"": [*NAMES, *FILES], "--checkpoint": FILES, "--neighbours": [*COUNTS[:5], "1001"], "--every": COUNTS[:11]}
         | {"--max-minutes": FLOATS, "--train-config": [*NAMES, *FILES], "--seed": _SEEDS, "--log-dir": OUTPUTS}
-        | {"--device": NAMES, "--threads": COUNTS, "--set": OVERRIDES, "--package-dir": _PACKAGES, "--lock": _LOCKS},
+        | {"--device": NAMES, "--threads": COUNTS, "--set": OVERRIDES, "--package-dir": _PACKAGES, "--lock": _LOCKS}
+        | {"--separate": NAMES},
     ),
     "train resume": (
         ("--resume", "latest"),

@@ -33,8 +33,7 @@ class Adapt:
     config is drafted."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """Policy to begin with: a model_<n>.pt next to its manifest.json, the name of a run, or a
-    bundled policy. Default: quadruped for four legs; for others legged if it has a column for every
-    joint, else quadruped."""
+    bundled policy. Default: quadruped for four legs, legged for others."""
     neighbours: int = 0
     """Also train the N robots of the policy with the nearest descriptions, so that it keeps
     them."""
@@ -44,7 +43,11 @@ class Adapt:
     """Iterations between two measurements."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
-    the policy's. Default: adapt."""
+    the policy's. Default: adapt; with a GPU adapt_on_gpu; adapt_separate for a separate network,
+    which says its networks and task too."""
+    separate: Literal["auto", "always", "never"] = "auto"
+    """Train a separate network from scratch in place of the policy. auto: where the policy falls
+    before it ends a turn or a stop, and a GPU is there."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")
@@ -81,7 +84,8 @@ class Adapt:
             neighbours=self.neighbours,
             max_minutes=self.max_minutes,
             every=self.every,
-            train_config=self.train_config or adapt.TRAIN_CONFIG,
+            train_config=self.train_config,
+            separate=self.separate,
             seed=self.seed,
             log_dir=self.log_dir,
             device=self.device,

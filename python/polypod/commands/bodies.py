@@ -26,8 +26,9 @@ class Bodies:
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
     """Prefix of the robots' names."""
     wide: bool = False
-    """Let quadrupeds also differ in hips, joint limits, motors and gains, as robots of makers
-    do."""
+    """Let bodies on two and four legs also differ in hips, joint limits, motors and gains, as
+    robots of makers do; on two legs in arms, waist, head, canted axes and place of the base frame
+    too."""
     force: bool = False
     """Replace existing files."""
 

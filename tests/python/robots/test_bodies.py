@@ -14,7 +14,7 @@ import tomllib
 import polypod
 from common import size
 from lab import bodies_coverage
-from polypod import _core, bodies
+from polypod import _core, bodies, rotations
 from polypod import files as files_of_polypod
 from polypod.accuracy import reference
 from polypod.accuracy.statics import relative_error
@@ -136,10 +136,11 @@ def test_roles_follow_from_geometry(library, tmp_path):
         assert set(info["joint_names"]) == set(stated)
 
 
+@pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("kind", bodies.KINDS)
-def test_mujoco_reads_them_alike(kind, tmp_path):
+def test_mujoco_reads_them_alike(kind, wide, tmp_path):
     pytest.importorskip("mujoco")
-    body = bodies.draw(kind, "drawn", np.random.default_rng(5))
+    body = bodies.draw(kind, "drawn", np.random.default_rng(5), wide)
     file = tmp_path / "robot.urdf"
     file.write_text(bodies.urdf(body))
     sim = polypod.Simulation(str(file), ground=None, self_collision=False, threads=1)
@@ -226,7 +227,7 @@ def test_numbers_outside_are_named():
 
 def test_a_robot_is_compared_with_bodies_of_its_class():
     """The knees of Bolt bend backwards, those of drawn bipeds forwards."""
-    (numbers,) = bodies_coverage.outside(["bolt"], count=4).values()
+    (numbers,) = bodies_coverage.outside(["bolt"], count=4, wide=False).values()
     assert "KNEE default" in {number.name for number in numbers}
 
 
@@ -256,3 +257,84 @@ def test_wide_bodies_stand(tmp_path, monkeypatch):
         fallen |= env.step(np.zeros((len(made), env.sim.num_actions), dtype=np.float32))[2]
     assert env.state.valid.all()
     assert fallen.mean() <= 0.15, [body.name for body, fell in zip(made, fallen, strict=True) if fell]
+
+
+ON_TWO_LEGS = ("unitree_h1", "unitree_g1", "booster_t1", "limx_tron1", "bolt")
+
+
+def test_wide_bodies_on_two_legs_reach_around_the_librarys():
+    """Cassie's tarsus and hips that turn inwards in the default pose are not drawn."""
+    for robot, numbers in bodies_coverage.outside(ON_TWO_LEGS).items():
+        outside = [number for number in numbers if "WRIST" not in number.name]
+        assert len(outside) <= 1, (robot, list(map(str, outside)))
+
+
+def test_bodies_on_two_legs_that_are_not_wide_have_one_limit_each():
+    (numbers,) = bodies_coverage.outside(["unitree_h1"], count=20, wide=False).values()
+    names = {number.name for number in numbers}
+    assert {"HIP_YAW lower", "KNEE upper", "HIP_PITCH speed", "SHOULDER_YAW position x"} & names
+    assert len(names) > 40
+
+
+def _ends(sim, body):
+    """Where a body touches the ground below each leg, and the tilt of its soles, rad."""
+    places, turns = (each[0] for each in sim.link_pose())
+    found = []
+    balls = {name[0]: (link, at) for name, link, at, _ in body.feet}
+    for place in "LR":
+        if place in balls:
+            link, at = balls[place]
+            tilt, shape = 0.0, rotations.matrix(turns[sim.link_names.index(link)])
+        else:
+            (sole,) = (link for link in body.links if link.name == f"{place}_sole")
+            link, own = sole.name, rotations.matrix(turns[sim.link_names.index(sole.name)])
+            shape = own @ rotations.matrix(rotations.of_angles(*sole.turned))
+            tilt = float(np.arccos(min(1.0, shape[2, 2])))
+            at, shape = (
+                np.array(sole.at) + rotations.matrix(rotations.of_angles(*sole.turned)) @ [0.0, 0.0, -sole.size[2] / 2],
+                own,
+            )
+        found.append((places[sim.link_names.index(link)] + shape @ np.array(at), tilt))
+    return found
+
+
+def test_wide_bodies_on_two_legs_are_sound(tmp_path, monkeypatch):
+    """Soles are level below the centre of mass, and joints turn as their roles state.
+
+    They begin to fall slowly, as machines do.
+    """
+    count = size(40, 200)
+    made = bodies.generate(tmp_path / "wide", count, seed=5, kinds=["humanoid", "biped"], wide=True)
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "wide"))
+    env = polypod.make(bodies.TASK + "_play", count, seed=0, autoreset="same_step")
+    env.reset()
+    info = json.loads(env.sim.robot_info())
+    lasted = np.full(count, 50)
+    for body in made:
+        assert info[body.name]["class"] == body.kind
+        assert set(info[body.name]["joint_names"]) == {joint.name for joint in body.joints}
+        assert min(info[body.name]["slot_signs"]) == 1.0, body.name
+        assert body.links[0].mass > 0.11 * body.mass
+        assert min(link.mass for link in body.links) > 0.0
+        for joint in body.joints:
+            assert joint.lower <= joint.angle - 0.19
+            assert joint.angle + 0.19 <= joint.upper
+        sim = polypod.Simulation(str(tmp_path / "wide/assets/robots" / body.name / "robot.urdf"), ground=None)
+        angles = {joint.name: joint.angle for joint in body.joints}
+        qpos = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, *(angles[name] for name in sim.joint_names)]
+        sim.set_state(np.array(qpos), np.zeros(6 + len(angles)))
+        centre, ends = sim.center_of_mass()[0], _ends(sim, body)
+        assert np.ptp([at[2] for at, _ in ends]) < 1e-4 * body.leg_length, body.name
+        assert abs(np.mean([at[0] for at, _ in ends]) - centre[0]) < 0.05 * body.leg_length, body.name
+        assert max(tilt for _, tilt in ends) < 1e-3, body.name
+    for step in range(50):
+        ended = env.step(np.zeros((count, env.sim.num_actions), dtype=np.float32))[2]
+        lasted[ended] = np.minimum(lasted[ended], step + 1)
+    assert env.state.valid.all()
+    assert np.median(lasted) >= 40
+    assert (lasted < 20).mean() <= 0.05, [body.name for body, steps in zip(made, lasted, strict=True) if steps < 20]
+
+
+def test_wide_bodies_on_two_legs_depend_on_seed_and_number_alone(tmp_path):
+    few = bodies.generate(tmp_path / "few", 4, kinds=["humanoid", "biped"], wide=True)
+    assert few == bodies.generate(tmp_path / "more", 6, kinds=["humanoid", "biped"], wide=True)[:4]

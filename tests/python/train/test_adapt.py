@@ -1,6 +1,8 @@
 """`polypod adapt` makes a policy walk with a robot; its memory, messages and results."""
 
+import dataclasses
 import json
+import math
 import shutil
 import signal
 
@@ -26,6 +28,7 @@ max_iterations = 100000
 save_interval = 100000
 symmetry = false
 """
+LEGGED = bundled.checkpoint("legged")
 FLAGS = ("--train-config", "tiny.toml", "--threads", "1", "--device", "cpu", "--every", "1")
 
 
@@ -64,6 +67,16 @@ def test_a_robot_that_walks_needs_no_training(cli, tmp_path, measured):
     done = cli("adapt", "unitree_go1", "--checkpoint", "flat", *FLAGS)
     assert done.returncode == 0, done.stderr
     assert "unitree_go1 walks without training" in done.stdout
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+
+
+def test_a_robot_on_four_legs_may_walk_with_the_policy_of_all_legs(cli, tmp_path, measured):
+    measured(bad(0.4), FIGURES)
+    done = cli("adapt", "unitree_go1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "unitree_go1 walks without training; see it: polypod play --checkpoint legged" in " ".join(
+        done.stdout.split()
+    )
     assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
 
 
@@ -125,7 +138,8 @@ def test_an_interrupt_keeps_what_there_is(cli, tmp_path, measured, monkeypatch):
 
 def test_a_urdf_is_drafted_beside_the_run_and_rewarded_like_the_robot_most_like_it(cli, tmp_path, measured):
     shutil.copy(_core_urdf("solo12"), tmp_path / "My-Dog.urdf")
-    measured(bad(0.4), FIGURES, FIGURES)
+    # with quadruped, with legged, and after the training
+    measured(bad(0.4), bad(0.4), FIGURES, FIGURES)
     done = cli("adapt", "My-Dog.urdf", *FLAGS)
     assert done.returncode == 0, done.stderr
     (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_my_dog")
@@ -179,6 +193,11 @@ def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, m
     manifest = run_dir.read_manifest(checkpoint)
     assert manifest["policy"]["hidden_dims"] == [512, 256, 128]
     assert "distillation" not in manifest["train_config"]
+    # the new critic learns first; the policy, which was taught with good sensors, is as it was
+    assert manifest["train_config"]["algorithm"]["critic_warmup_iterations"] == adapt.CRITIC_WARMUP
+    assert adapt.NO_NOISE in manifest["overrides"]
+    own, other = (run_dir.load_checkpoint(path)["actor_state_dict"] for path in (checkpoint, LEGGED))
+    assert all(torch.equal(own[key], other[key]) for key in own if "moments" not in key)
     assert "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
 
 
@@ -214,6 +233,7 @@ def test_neighbours_that_walked_have_to_walk_at_the_end(cli, tmp_path, measured)
         (("unitree_go1", "--train-config", "nothing"), "nothing"),
         (("unitree_go1", "--checkpoint", "nothing.pt"), "nothing.pt"),
         (("unitree_h1", "--checkpoint", "flat", *FLAGS), "twelve joints"),
+        (("unitree_go1", "--separate", "always", "--neighbours", "1", *FLAGS), "--neighbours"),
     ],
     ids=lambda value: " ".join(value[:3]) if isinstance(value, tuple) else "",
 )
@@ -229,6 +249,51 @@ def test_the_settings_are_a_train_config_of_its_own():
     settings = config.load(adapt.TRAIN_CONFIG)
     assert settings.run.task == "velocity_flat_any_legged"
     assert settings.run.num_envs * settings.run.num_steps_per_env <= 10_000
+    on_gpu, separate = config.load(adapt.ON_GPU), config.load(adapt.SEPARATE)
+    assert on_gpu.run.num_envs > settings.run.num_envs
+    # a separate network has its own task and sizes
+    assert separate.actor.class_name == "MLPModel"
+    assert separate.run.task == "velocity_flat_teacher"
+
+
+AT_ONCE = {"fall_rate": 1.0, "turn_reached": math.nan, "drift_xy": math.nan}
+LATER = {"fall_rate": 1.0, "turn_reached": 0.9, "drift_xy": math.nan}
+"""Figures of robots that fall within a second, and when they are told to step aside."""
+
+
+def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_path, measured, monkeypatch):
+    falls = dataclasses.replace(bad(0.4), **AT_ONCE)
+    # with a GPU; without one the policy goes on
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
+    measured(falls, FIGURES, FIGURES)
+    (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert "a separate network begins from scratch" in done.stdout
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (checkpoint,) = run.glob("model_*.pt")
+    manifest = run_dir.read_manifest(checkpoint)
+    assert manifest["policy"]["class_name"] == "MLPModel"
+    assert manifest["task"] == "Velocity-Flat-Teacher-v0"
+    assert manifest["overrides"] == []
+
+
+@pytest.mark.parametrize(
+    ("separate", "has_gpu", "falls", "neighbours", "begins"),
+    [
+        ("auto", True, AT_ONCE, False, True),
+        ("auto", True, LATER, False, False),
+        ("auto", True, {}, False, False),
+        ("auto", False, AT_ONCE, False, False),
+        ("auto", True, AT_ONCE, True, False),
+        ("always", False, {}, False, True),
+        ("never", True, AT_ONCE, False, False),
+    ],
+)
+def test_when_a_separate_network_begins(monkeypatch, separate, has_gpu, falls, neighbours, begins):
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
+    before = dataclasses.replace(FIGURES, **falls)
+    assert adapt._is_separate(adapt.Options("spot", separate=separate), before, neighbours) is begins
 
 
 def test_a_critic_goes_on_for_another_body():
