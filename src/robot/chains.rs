@@ -26,6 +26,9 @@ const GROUND: f64 = 0.3;
 /// A leg hangs stretched if it reaches this share of its length below its hip.
 const STRETCHED: f64 = 0.7;
 
+/// Limbs that hang on a torso from higher above it than this share of their reach are arms.
+const RAISED: f64 = 0.2;
+
 /// Number of positions of a joint that are tried.
 const ANGLES: u32 = 19;
 
@@ -130,7 +133,10 @@ impl<'a> ZeroPose<'a> {
                     own.map(|joint| sign * self.position(joint).y).fold(0.0, f64::max) > ASIDE * width
                 })
             };
-            let is_in_the_middle = path.iter().all(|joint| self.position(*joint).y.abs() <= MIDDLE * width);
+            // where a joint about y lies along its axis says nothing
+            let is_in_the_middle = path
+                .iter()
+                .all(|joint| self.position(*joint).y.abs() <= MIDDLE * width || self.axis(*joint).y.abs() > ALIGNED);
             if path.len() <= TORSO_JOINTS && is_in_the_middle && side(1.0) && side(-1.0) {
                 found.torso.extend(path);
                 self.collect_limbs(end, width, found);
@@ -158,6 +164,17 @@ impl<'a> ZeroPose<'a> {
             reaches_down && bottoms[*limb] <= ground + GROUND * (top - ground)
         };
         (0..limbs.len()).filter(is_leg).collect()
+    }
+
+    /// Whether a limb hangs from above the joints of the torso that carries it: an arm that reaches
+    /// the ground is no leg.
+    pub fn hangs_above(&self, torso: &[usize], limb: &LimbChain) -> bool {
+        let first = limb.joints[0];
+        let Some(last) = self.chain_to(first + 1).into_iter().rev().find(|joint| torso.contains(joint)) else {
+            return false;
+        };
+        let top = self.position(first).z;
+        top - self.position(last).z > RAISED * (top - feet::lowest_below(self, first))
     }
 
     /// Hip abduction, hip flexion and knee of every chain that can be a leg of a body whose legs

@@ -8,8 +8,9 @@ use super::model::{Geometry, Shape};
 /// A sphere is the foot when it reaches at least this share of the leg's farthest reach.
 const SPHERE_REACH: f64 = 0.8;
 
-/// Components of a unit vector below this are zero: makers write right angles as 1.5708.
-const FLAT: f64 = 1e-4;
+/// Components of a unit vector below this are zero: makers write right angles as 1.5708, or as
+/// 1.57.
+const FLAT: f64 = 1e-3;
 
 /// Height of the sole, m: parts of a foot no higher than this above its lowest part belong to the
 /// sole.

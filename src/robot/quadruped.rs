@@ -43,12 +43,16 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
     let found = pose.leg_candidates(&chains, wanted);
     if found.len() != wanted {
         let legs = found.len() + 4 - wanted;
+        let problem = match legs {
+            2 | 6 => format!("{legs} legs of a body on four legs were found"),
+            _ => format!("{legs} legs were found instead of 2, 4 or 6"),
+        };
         return Err(roles_error(
             pose,
             "<robot>",
-            format!("{legs} legs were found instead of 2, 4 or 6: {}", list(pose, &chains)),
-            "name all joints of the legs in joint_roles (--role SLOT=JOINT of robot new), or lock the joints that are no legs' \
-             in locked_joints (--lock JOINT=POSITION)",
+            format!("{problem}: {}", list(pose, &chains)),
+            "let the base frame have x forward and y left, name all joints of the legs in joint_roles (--role SLOT=JOINT of \
+             robot new), or lock the joints that are no legs' in locked_joints (--lock JOINT=POSITION)",
         ));
     }
 

@@ -176,9 +176,12 @@ fn named_feet(model: &Model, overrides: &BTreeMap<String, String>) -> Result<BTr
 fn found_limbs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<Vec<RawLimb>, RobotError> {
     let chains = pose.limb_chains();
     let mut legs = pose.grounded(&chains.limbs);
-    // a limb without a knee is no leg
+    // a limb without a knee is no leg, nor is an arm
     legs.retain(|leg| {
         let chain = &chains.limbs[*leg];
+        if pose.hangs_above(&chains.torso, chain) {
+            return false;
+        }
         pose.biped_leg(&chain.joints).contains(&Role::Knee) || pose.points_away(&chain.joints, tip(pose, chain))
     });
     let feet: Vec<DVec3> = legs.iter().map(|leg| tip(pose, &chains.limbs[*leg])).collect();

@@ -215,7 +215,7 @@ def test_knees_that_are_straight_at_their_stop_are_bent(tmp_path, forward, ankle
     assert pose["L_KNEE"] == pytest.approx(pose["R_KNEE"], abs=2e-3)
 
 
-@pytest.mark.parametrize("tilt", [3.7e-6, -5e-6, 6e-5])
+@pytest.mark.parametrize("tilt", [3.7e-6, -5e-6, 6e-5, 8e-4])
 def test_soles_that_are_level_but_for_rounding_are_stood_on_in_the_middle(tmp_path, tilt):
     """Left and right of a body stand equally where the maker rounds right angles."""
     text = crooked(0.02, 0.79)
@@ -256,15 +256,80 @@ def test_feet_whose_meshes_are_missing_are_boxes_of_their_inertia(tmp_path, part
 
 def test_what_is_above_an_ankle_is_no_foot(tmp_path):
     """A foot without shape and with almost no inertia: its shank reaches the ground first."""
-    text = crooked(0.02, 0.79)
-    for name in ("l5", "l6", "r5", "r6"):
+    text = without_shapes(crooked(0.02, 0.79), ("l5", "l6", "r5", "r6"))
+    for name in ("l6", "r6"):
+        at = text.index('<mass value="', text.index(f'<link name="{name}">'))
+        text = f'{text[:at]}<mass value="0.0005"{text[text.index("/>", at) :]}'
+    with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
+        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+
+
+def without_shapes(text, links):
+    for name in links:
         at = text.index(f'<link name="{name}">')
         begin, end = text.index("<collision>", at), text.index("</collision>", at) + len("</collision>")
         text = text[:begin] + text[end:]
+    return text
+
+
+@pytest.mark.parametrize(
+    "links", [("l6", "r6"), ("l1", "l2", "l3", "l4", "l5", "l6", "r1", "r2", "r3", "r4", "r5", "r6")]
+)
+def test_feet_of_a_file_without_shapes_are_boxes_of_their_inertia(tmp_path, links):
+    made = new_robot(write(tmp_path / "bare.urdf", without_shapes(crooked(0.02, 0.79), links)), tmp_path / "draft.toml")
+    assert len([note for note in made.notes if "no limb's end has a <collision>" in note]) == 2
+    assert tomllib.loads(made.path.read_text())["feet"] == {"L": "l6", "R": "r6"}
+    assert made.standing.holds, made
+    # a file with one foot's shape is one whose maker forgot the other
+    text = without_shapes(crooked(0.02, 0.79), ["l6"])
     with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
-        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+        new_robot(write(tmp_path / "half.urdf", text), tmp_path / "half.toml")
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.06])
+def test_a_waist_between_the_base_and_the_legs_is_a_torso(tmp_path, aside):
+    """A joint about y may have its origin anywhere on its axis, off the middle too."""
+    text = crooked(0.02, 0.79).replace('"trunk"', '"pelvis"').replace("</robot>", "")
+    limits = (-0.5, 0.5, 40.0, 15.0)
+    text += "".join(
+        [
+            link("chest", 5.0, (0.12, 0.2, 0.2), at=(-0.02, 0.0, 0.1)),
+            link("waist", 0.3, (0.05, 0.05, 0.05)),
+            joint("bow", "chest", "waist", (0.0, -aside, 0.0), "0 1 0", limits),
+            joint("lean", "waist", "pelvis", (0.0, aside, -0.3), "1 0 0", limits),
+            "</robot>",
+        ]
+    )
+    roles = tomllib.loads(_core.draft_robot(write(tmp_path / "diver.urdf", text))["toml"])["joint_roles"]
+    assert roles["TORSO_PITCH"] == "bow"
+    assert roles["TORSO_ROLL"] == "lean"
+    assert roles["L_KNEE"] == "ld"
 
 
 def write(file, text):
     file.write_text(text)
     return file
+
+
+@pytest.mark.parametrize(("height", "is_upper_body"), [(0.3, True), (-0.03, False)])
+def test_arms_above_a_spine_are_no_legs(tmp_path, height, is_upper_body):
+    """Half a humanoid does not walk on its hands."""
+    text = crooked(0.02, 0.79).replace('"trunk"', '"chest"').replace("</robot>", "")
+    for side in ("0.08", "-0.08"):
+        text = text.replace(f'<origin xyz="0.0 {side} -0.03"/>', f'<origin xyz="0.0 {side} {height}"/>')
+    limits = (-0.5, 0.5, 40.0, 15.0)
+    text += "".join(
+        [
+            link("block", 5.0, (0.2, 0.2, 0.1)),
+            link("spine", 0.3, (0.05, 0.05, 0.05)),
+            joint("turn", "block", "spine", (0.0, 0.0, 0.05), "0 0 1", limits),
+            joint("bow", "spine", "chest", (0.0, 0.0, 0.0), "0 1 0", limits),
+            "</robot>",
+        ]
+    )
+    file = write(tmp_path / "half.urdf", text)
+    if is_upper_body:
+        with pytest.raises(_core.RobotError, match="legs"):
+            _core.draft_robot(file)
+    else:
+        assert tomllib.loads(_core.draft_robot(file)["toml"])["joint_roles"]["L_KNEE"] == "ld"
