@@ -23,6 +23,8 @@ from polypod import _core
 from polypod.compat import tomllib
 from polypod.runs import run_dir
 
+LIBRARY = Path(__file__).parents[1] / "assets" / "robots"
+
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -35,8 +37,8 @@ class Stage:
     config: str
     """A train config: a name, or a file of the recipe."""
     robots: tuple[str, ...]
-    """Names; `@group` stands for a group of the plan, and `@drawn.0` for the bodies of the first
-    line of `bodies`."""
+    """Names; `@group` stands for a group of the plan, `@drawn.0` for the bodies of the first line
+    of `bodies`, and `drafted_NAME` for a robot of the library as `polypod robot new` drafts it."""
     iterations: int | None = None
     """None: the config's."""
     seed: int = 1
@@ -61,6 +63,8 @@ class Recipe:
     groups: Mapping[str, Sequence[str]]
     bodies: tuple[tuple[str, ...], ...]
     """Arguments of `polypod bodies generate`, after the folder."""
+    drafts: tuple[str, ...] = ()
+    """Robots of the library that are drafted from their URDF, as robots of strangers are."""
 
     def robots(self, names: Sequence[str], out: Path) -> list[str]:
         """Robots that names and groups stand for."""
@@ -88,7 +92,9 @@ def read(folder: Path) -> Recipe:
         return Stage(**{**table, "robots": tuple(table["robots"]), "changes": tuple(table.get("changes", ()))})
 
     stages = tuple(stage(table) for table in plan["stages"])
-    return Recipe(folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies)
+    return Recipe(
+        folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies, drafts=tuple(plan.get("drafts", ()))
+    )
 
 
 def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> list[str]:
@@ -126,15 +132,21 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
 def environment(recipe: Recipe, out: Path) -> dict[str, str]:
     """The environment of a stage: drawn bodies and the recipe's tasks are found in it."""
     drawn = [str(bodies_folder(out, number)) for number in range(len(recipe.bodies))]
-    folders = [*drawn, str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
+    folders = [*drawn, str(out / "drafts"), str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
     return {**os.environ, "POLYPOD_PATH": os.pathsep.join(folder for folder in folders if folder)}
 
 
 def draw(recipe: Recipe, out: Path) -> None:
-    """Draws the bodies, if they are not there."""
+    """Draws the bodies and drafts the robots, if they are not there."""
     for number, arguments in enumerate(recipe.bodies):
         if not (folder := bodies_folder(out, number)).is_dir():
             words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder), *arguments]
+            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    for robot in recipe.drafts:
+        if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
+            config.parent.mkdir(parents=True, exist_ok=True)
+            words = [sys.executable, "-m", "polypod", "robot", "new", str(LIBRARY / robot / "robot.urdf")]
+            words += ["--name", config.stem, "--out", str(config)]
             subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 
 

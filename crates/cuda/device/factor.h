@@ -206,7 +206,7 @@ FN void to_sparse(Robot *a, float *base, int joints) {
 }
 
 /* H^-1 y: the inverse of to_sparse. */
-CALLED void to_dense(Robot *a, float *base, int joints) {
+FN void to_dense(Robot *a, float *base, int joints) {
     for (int r = 0; r < 6; r++) base[r] = base[r] * a->root[2 * r + 1];
     if (T(FLOATING))
         for (int k = 5; k >= 0; k--)

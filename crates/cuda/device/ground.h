@@ -41,7 +41,7 @@ FN void candidate_point(const Robot *a, int contact, const float *up, float *o) 
 }
 
 /* Torsional and rolling friction of the contact that was added last. */
-CALLED void add_spin(Robot *a, int contact, const float *frame) {
+FN void add_spin(Robot *a, int contact, const float *frame) {
     int i = a->num_spins, spin = SPIN(i), path = ROW_PATH(a->num_contacts - 1);
     float base[18], own[9], product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     for (int d = 0; d < 3; d++) {

@@ -48,7 +48,7 @@ FN void place_base(Robot *a, const float *velocity) {
 
 /* Position, axis and velocity of the link that a joint moves. `r`, `x` and `v` are its parent's before
  * and its own after. */
-CALLED void place_link(Robot *a, int j, float *r, float *x, float *v, float *axis) {
+FN void place_link(Robot *a, int j, float *r, float *x, float *v, float *axis) {
     int parent = L(T(T_JOINT) + j * JOINT_SIZE), to = LINK(j + 1);
     float offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
     p_load(a, T(P_OFFSET) + 3 * j, 3, offset);
@@ -104,7 +104,7 @@ FN void free_links(Robot *a) {
 
 /* Inertia about the base's origin, and the force that motion and gravity ask for, by Newton's and
  * Euler's equations about the centre of mass. */
-CALLED void link_dynamics(Robot *a, int at, float mass, const float *com, const float *inertia, const float *velocity,
+FN void link_dynamics(Robot *a, int at, float mass, const float *com, const float *inertia, const float *velocity,
                       const float *acceleration) {
     float spatial[10], of_com[3], lin[3], ang[3], t[3];
     spatial_inertia(mass, com, inertia, spatial);

@@ -38,7 +38,7 @@ FN void turned_extent(const float *r, const float *half, float *o) {
 
 /* At least half the square of the largest speed of a body's points within the root of
  * `squared_reach` of `centre`. */
-CALLED float half_squared_speed(const float *velocity, const float *centre, float squared_reach) {
+FN float half_squared_speed(const float *velocity, const float *centre, float squared_reach) {
     float point[3];
     at_point(velocity, centre, point);
     return fma_(squared_reach, dot(velocity, velocity), dot(point, point));
@@ -72,7 +72,7 @@ FN void box_links(Robot *a) {
 }
 
 /* Puts a collider where its link is. */
-CALLED void place_collider(Robot *a, int c) {
+FN void place_collider(Robot *a, int c) {
     int link = COLLIDER_LINK(c), to = PLACED(c);
     float r[9], x[3], centre[3], half[3], extent[3], rotation[9], radius = P(T(P_COLLIDER_RADIUS) + c);
     w_load(a, LINK(link), 9, r);
@@ -102,7 +102,7 @@ FN void load_capsule(const Robot *a, int c, Capsule *o) {
 }
 
 /* Where two capsules come nearest: places on their axes, on that of the first from `from` to `to`. */
-CALLED void nearest_on_capsules(const Capsule *a, float from, float to, float middle, const Capsule *b, float *o) {
+FN void nearest_on_capsules(const Capsule *a, float from, float to, float middle, const Capsule *b, float *o) {
     float tiny = MIN_SQUARED_LENGTH, between[3];
     sub(a->centre, b->centre, between);
     float aa = dot(a->half, a->half), bb = dot(b->half, b->half), ab = dot(a->half, b->half);
@@ -139,7 +139,7 @@ FN void clamped(const float *p, const float *half, float *o) {
 }
 
 /* Half of how the squared distance of a point of a capsule's axis from a box changes along the axis. */
-CALLED float slope_to_box(const Capsule *a, float t, const float *box) {
+FN float slope_to_box(const Capsule *a, float t, const float *box) {
     float p[3], c[3];
     add_scaled(a->centre, a->half, t, p);
     clamped(p, box, c);

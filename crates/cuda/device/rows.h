@@ -20,7 +20,7 @@ FN void load_rows(const Robot *a, int row, Rows *o) {
     w_load(a, row + ROW_OWN, 9, o->own);
 }
 
-CALLED void velocities(const Robot *a, const Rows *rows, int further, int path, int units, const float *y_base,
+FN void velocities(const Robot *a, const Rows *rows, int further, int path, int units, const float *y_base,
                        int joints, float *w) {
     int parts = PATH_PARTS(path);
     float even[3], odd[3], y[3];
@@ -43,7 +43,7 @@ CALLED void velocities(const Robot *a, const Rows *rows, int further, int path, 
     }
 }
 
-CALLED void apply_rows(Robot *a, const Rows *rows, int further, int path, int units, const float *impulse,
+FN void apply_rows(Robot *a, const Rows *rows, int further, int path, int units, const float *impulse,
                        float *y_base, int joints) {
     int at = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
     float y[3];
@@ -76,7 +76,7 @@ FN float dot6_onto(const float *a, const float *b, float c) {
 }
 
 /* Products of the rows 0 0, 1 1, 2 2, 0 1, 0 2, 1 2. */
-CALLED void products(const Robot *a, const float *base, const float *own, int further, int path, int units, float *out) {
+FN void products(const Robot *a, const float *base, const float *own, int further, int path, int units, float *out) {
     float product[6] = {0}, x[9];
     for (int s = 0; s < BLOCK; s++) {
         const float *z = own + 3 * s;
@@ -107,7 +107,7 @@ CALLED void products(const Robot *a, const float *base, const float *own, int fu
     out[5] = dot6_onto(base + 6, base + 12, product[5]);
 }
 
-CALLED float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
+FN float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
     int at = joints + 3 * first_block(a, path);
     float base[6], w = W(row + ROW_OWN) * W(at);
     w = fma_(W(row + ROW_OWN + 6), W(at + 2), fma_(W(row + ROW_OWN + 3), W(at + 1), w));
@@ -120,7 +120,7 @@ CALLED float first_velocity(const Robot *a, int row, int further, int path, cons
     return dot6_onto(base, y_base, w);
 }
 
-CALLED void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
+FN void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
     int parts = PATH_PARTS(path);
     for (int r = 0; r < 6; r++) y_base[r] = fma_(W(row + r), impulse, y_base[r]);
     ROLLED for (int p = 0; p < (parts > 0 ? parts : 1); p++) {
@@ -133,7 +133,7 @@ CALLED void apply_first(Robot *a, int row, int further, int path, float impulse,
 }
 
 /* Eliminates a block's joints among themselves, in its part of the rows. */
-CALLED void eliminate_inner(const Robot *a, int b, float *x) {
+FN void eliminate_inner(const Robot *a, int b, float *x) {
     int inner = FACTOR(b) + FACTOR_INNER;
     float l10 = W(inner), l20 = W(inner + 1), l21 = W(inner + 2);
     for (int d = 0; d < 3; d++) {
@@ -143,7 +143,7 @@ CALLED void eliminate_inner(const Robot *a, int b, float *x) {
 }
 
 /* Change of the parts that carry a block by the elimination of its joints, whose rows are `x`. */
-CALLED void pass_on(Robot *a, int part, const float *x, int further) {
+FN void pass_on(Robot *a, int part, const float *x, int further) {
     int first = L(BLOCK_AT(L(part)) + 6);
     ROLLED for (int c = 0; c < L(part + 2); c++) {
         int on = further + 9 * (L(L(part + 3) + c) - 1);
@@ -180,7 +180,7 @@ FN void scale_rows(const Robot *a, int b, float *x) {
 }
 
 /* Change of the base's part by the elimination of the joints; D^-1/2 of the blocks after the first. */
-CALLED void solve_base(Robot *a, float *base, const float *own, int further, int path, int with_first) {
+FN void solve_base(Robot *a, float *base, const float *own, int further, int path, int with_first) {
     int parts = PATH_PARTS(path);
     float x[9];
     if (T(FLOATING) && with_first)
@@ -201,7 +201,7 @@ CALLED void solve_base(Robot *a, float *base, const float *own, int further, int
 }
 
 /* H^-T J^T in place. */
-CALLED void half_solve_rows(Robot *a, float *base, float *own, int further, int path) {
+FN void half_solve_rows(Robot *a, float *base, float *own, int further, int path) {
     int parts = PATH_PARTS(path);
     if (parts == 0) {
         solve_base(a, base, own, further, path, 0);
@@ -253,7 +253,7 @@ FN void joint_rows(const Robot *a, int part, const float *directions, float *out
 }
 
 /* Z of three rows that act on a link; `base` holds the directions. */
-CALLED void build_rows(Robot *a, int path, float *base, float *own, int further) {
+FN void build_rows(Robot *a, int path, float *base, float *own, int further) {
     int parts = PATH_PARTS(path);
     float x[9];
     for (int k = 0; k < 9; k++) own[k] = 0.0f;
@@ -289,7 +289,7 @@ FN void set_directions(const float *point, const float *frame, float *base) {
 #define BOUND_PATH(b) (L(BLOCK_AT(b) + L(BLOCK_AT(b) + 3) - 1) + 1)
 
 /* Stores the rows about to be added and their couplings. */
-CALLED void finish_rows(Robot *a, const float *base, const float *own, float compliance) {
+FN void finish_rows(Robot *a, const float *base, const float *own, float compliance) {
     int i = a->num_contacts, row = ROW(i);
     float product[6], softness = a->compliance * compliance, least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     products(a, base, own, ROW_PARTS(i), ROW_PATH(i), 0, product);

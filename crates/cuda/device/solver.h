@@ -135,7 +135,7 @@ FN void sweep_bounds(Robot *a) {
 }
 
 /* One sweep over joint limits alone. Returns the largest change of a velocity. */
-CALLED float sweep_limits(Robot *a, int pushing, float *y, int joints) {
+FN float sweep_limits(Robot *a, int pushing, float *y, int joints) {
     float most = 0.0f;
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_LIMITS(b)) continue;
@@ -155,7 +155,7 @@ CALLED float sweep_limits(Robot *a, int pushing, float *y, int joints) {
 }
 
 /* Sweeps over joint limits alone until none changes a velocity. */
-CALLED void settle_limits(Robot *a, int pushing, float *y, int joints) {
+FN void settle_limits(Robot *a, int pushing, float *y, int joints) {
     ROLLED for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
         if (!(TC(LIMIT_TOLERANCE) < sweep_limits(a, pushing, y, joints))) break;
 }
@@ -171,7 +171,7 @@ FN void sliding_friction(const Robot *a, int contact, float *friction) {
 }
 
 /* Impulses along the tangents of a point that slides: against its velocity, in a disc. */
-CALLED void sliding(float mass, float w1, float w2, float i1, float i2, float bound, float *s) {
+FN void sliding(float mass, float w1, float w2, float i1, float i2, float bound, float *s) {
     float s1 = nfma(w1, mass, i1), s2 = nfma(w2, mass, i2);
     float square = fma_(s1, s1, fma_(s2, s2, (float)1e-20));
     float shrink = min_(bound / square * sqrtf(square), 1.0f);

@@ -31,7 +31,7 @@ FN int split_place(float x, int points, float *within) {
     return (int)i;
 }
 
-CALLED void terrain_sample(const Robot *a, float x, float y, Sample *o) {
+FN void terrain_sample(const Robot *a, float x, float y, Sample *o) {
     int columns = L(GRID_SIZE + 1);
     x = x + D(T(D_ORIGIN));
     y = y + D(T(D_ORIGIN) + 1);
@@ -57,7 +57,7 @@ FN float slope_of(const Robot *a, float rise) {
 
 /* Gap of a sphere above the ground, m, and the unit normal of the contact; `place` is about the env's
  * origin. On the edge of a step the normal turns as the foot leaves it. */
-CALLED float terrain_gap(const Robot *a, const float *place, float radius, float *normal) {
+FN float terrain_gap(const Robot *a, const float *place, float radius, float *normal) {
     Sample found, below;
     terrain_sample(a, place[0], place[1], &found);
     float sx = slope_of(a, found.along_x), sy = slope_of(a, found.along_y);
@@ -94,7 +94,7 @@ FN int square_of(const Robot *a, int squares, float x, int axis) {
 }
 
 /* No height within `reach` of a place of the env is larger than this, m: of links (0), candidates (1). */
-CALLED float terrain_bound(const Robot *a, int near, float x, float y, float reach) {
+FN float terrain_bound(const Robot *a, int near, float x, float y, float reach) {
     int squares = GRID_SQUARES + 4 * near;
     float far = ((float)L(squares) - 1.0f) * TC(GRID_CELL);
     if (reach > far) return TC(GRID_HIGHEST);

@@ -15,15 +15,15 @@ pub struct Heights {
     pub(crate) cell: f32,
     pub(crate) size: [usize; 2],
     pub(crate) highest: f32,
-    /// Points along the edge of the squares of links and of those of candidates, their numbers along
-    /// x and y, and where their heights begin.
+    /// Points along the edge of the squares of links and of those of candidates, their numbers
+    /// along x and y, and where their heights begin.
     pub(crate) squares: [[usize; 4]; 2],
     /// Heights, `[x][y]`, then the largest heights of the squares.
     pub(crate) numbers: Arc<[f32]>,
 }
 
 impl Heights {
-    /// Those of a grid, whose [`squares`](HeightGrid::note_squares) must be noted.
+    /// The heights of a grid, whose [`squares`](HeightGrid::note_squares) must be noted.
     pub fn new(grid: &HeightGrid) -> Self {
         let &HeightGrid { origin, cell, size, highest, .. } = grid;
         let mut numbers = grid.heights();

@@ -15,8 +15,8 @@ use crate::device::DeviceError;
 use crate::nvrtc;
 use crate::tables::Tables;
 
-/// Environment variable that says which kernels step: `common`, or `own`, for which the first
-/// step waits. By default, own ones take over when they are ready.
+/// Environment variable that says which kernels step: `own`, for which the first step waits, or
+/// `ready`, where own ones take over when they are compiled. By default the common one steps.
 const VARIABLE: &str = "POLYPOD_CUDA_KERNELS";
 /// Control steps of a block after which its own kernel is worth its compilation.
 const WORTH: u32 = 50;
@@ -35,7 +35,8 @@ pub(crate) fn load(context: &Arc<CudaContext>, ptx: String) -> Result<CudaFuncti
 /// An own kernel, once it is compiled; none where there are too many.
 pub(crate) type Own = Arc<OnceLock<Result<Option<CudaFunction>, DeviceError>>>;
 
-/// Which kernels step.
+/// Kernels that step: the common one, own ones that the first step waits for, or own ones from when
+/// they are compiled.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Choice {
     Common,
@@ -72,9 +73,9 @@ impl Kernels {
     /// No compiler, or one that refuses the text.
     pub(crate) fn new(context: &Arc<CudaContext>) -> Result<Self, DeviceError> {
         let choice = match std::env::var(VARIABLE).as_deref() {
-            Ok("common") => Choice::Common,
             Ok("own") => Choice::Own,
-            _ => Choice::WhenReady,
+            Ok("ready") => Choice::WhenReady,
+            _ => Choice::Common,
         };
         Ok(Self {
             context: context.clone(),

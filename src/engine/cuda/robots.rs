@@ -21,7 +21,7 @@ const FIRST_CAPACITY: usize = 4;
 /// Fewest tiles that a thread copies at a time.
 const MIN_TILES: usize = 2;
 
-/// What all steps of an engine need.
+/// Device, settings, heights and threads of an engine, which all steps need.
 pub(super) struct Means<'a> {
     pub(super) device: &'a dyn Device,
     pub(super) settings: &'a StepSettings,
@@ -51,7 +51,7 @@ pub(super) struct Robots {
     needs: Needs,
 }
 
-/// What threads know of the robots whose rows and columns they copy.
+/// Facts about the robots whose rows and columns threads copy.
 #[derive(Clone, Copy)]
 struct Common<'a> {
     ages: usize,
@@ -62,7 +62,7 @@ struct Common<'a> {
     first_env: usize,
 }
 
-/// What a control step needs beyond the memory of its block.
+/// Needs of a control step beyond the memory of its block.
 #[derive(Default)]
 struct Needs {
     /// Most contacts of a robot.

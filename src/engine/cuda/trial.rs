@@ -1,4 +1,4 @@
-//! Which of two engines with the same bits is faster here: they take turns until it is known.
+//! Finds the faster of two engines with the same bits: they take turns until it is known.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ const TURNS: usize = 3;
 /// How much faster the device must be: it takes memory, and a core waits for it.
 const LEAST_GAIN: f64 = 1.05;
 
-/// Who makes the steps.
+/// Maker of the steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Turn {
     Cpu,
@@ -29,7 +29,7 @@ pub(super) struct Trial {
 }
 
 impl Trial {
-    /// Whose turn it is. A trial begins once the device is ready; each call is a step.
+    /// The engine whose turn it is. A trial begins once the device is ready; each call is a step.
     pub(super) fn next(&mut self, now: Instant) -> Turn {
         let turn = |step: usize| if (step / TURN).is_multiple_of(2) { Turn::Cpu } else { Turn::Device };
         if let (Some(begun), Some(last)) = (self.begun, self.steps.checked_sub(1))
@@ -43,8 +43,8 @@ impl Trial {
         turn(self.steps - 1)
     }
 
-    /// Median times of a step with the CPU and with the device, and who is to go on; none yet before
-    /// all turns.
+    /// Median times of a step with the CPU and with the device, and the one that is to go on; none
+    /// yet before all turns.
     pub(super) fn verdict(&mut self) -> Option<(Turn, [Duration; 2])> {
         if self.steps <= 2 * TURN * TURNS {
             return None;

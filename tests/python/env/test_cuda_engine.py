@@ -25,7 +25,7 @@ SHORT = ("sim.episode_length_s=1.2", "events.push_robot.interval_range_s=[0.2, 0
 
 @pytest.fixture(params=["common", "own"])
 def card(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """The card, with the common kernel and with those of the morphologies; skips where there is none."""
+    """The card, with the common kernel and with own ones; skips where there is none."""
     described = _core.cuda()
     if described.startswith("not used: "):
         pytest.skip(described)
