@@ -4,9 +4,8 @@ use bevy_app::{App, Plugin, PluginGroup, PluginGroupBuilder, PreStartup};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 
-use crate::batch::Batch;
 use crate::error::Error;
-use crate::options::SimOptions;
+use crate::options::{Autoreset, SimOptions};
 use crate::systems::{CompiledTask, PolypodPlugins};
 
 use super::stepping::{set_up, take_step};
@@ -66,8 +65,16 @@ impl Plugin for HostPlugin {
     }
 }
 
+/// Present once the set-up has succeeded.
+#[derive(Resource)]
+struct IsSetUp;
+
 fn set_up_in_host(world: &mut World) -> Result {
     let options = SimOptions::of(world)?;
+    if options.autoreset == Autoreset::Disabled {
+        let remedy = "use same_step or next_step";
+        return Err(Error::argument("autoreset", "a host app has no call that resets envs", remedy).into());
+    }
     if options.dump_dir.is_some() {
         let remedy = "leave it out; BrokenStates holds the states that broke";
         return Err(Error::argument("dump_dir", "dumps are written by Sim alone", remedy).into());
@@ -78,13 +85,14 @@ fn set_up_in_host(world: &mut World) -> Result {
         let problem = format!("the terms {} are computed by the caller of a Sim", external.join(", "));
         return Err(Error::argument("observations", problem, "take another task, or step a Sim").into());
     }
+    world.insert_resource(IsSetUp);
     Ok(())
 }
 
 fn step_in_host(world: &mut World) -> Result {
-    if !world.contains_resource::<Batch>() {
-        let remedy = "run the app's Main schedule, in which PreStartup comes first";
-        return Err(Error::argument("the host app", "it has not run PreStartup", remedy).into());
+    if !world.contains_resource::<IsSetUp>() {
+        let remedy = "run the app's Main schedule, in which PreStartup comes first, and mend the error of the set-up";
+        return Err(Error::argument("the host app", "polypod is not set up", remedy).into());
     }
     Ok(take_step(world)?)
 }

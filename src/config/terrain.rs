@@ -54,7 +54,7 @@ pub struct TerrainConfig {
         skip_serializing_if = "is_reference_leg_length"
     )]
     pub reference_leg_length: f64,
-    /// Largest factor of the tiles of a robot with long legs; for `scale_by`. Default: none.
+    /// Largest factor by which `scale_by` enlarges tiles. Default: no limit.
     #[serde(
         default,
         deserialize_with = "values::optional_of::<BodyFactor, _, _>",

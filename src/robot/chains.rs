@@ -26,7 +26,8 @@ const GROUND: f64 = 0.3;
 /// A leg hangs stretched if it reaches this share of its length below its hip.
 const STRETCHED: f64 = 0.7;
 
-/// Limbs that hang on a torso from higher above it than this share of their reach are arms.
+/// A limb whose first joint is higher above the torso's last joint than this share of its reach is
+/// an arm.
 const RAISED: f64 = 0.2;
 
 /// Number of positions of a joint that are tried.

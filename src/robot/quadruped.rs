@@ -44,7 +44,7 @@ pub(super) fn legs(pose: &ZeroPose<'_>, named: &Overrides) -> Result<[LegJoints;
     if found.len() != wanted {
         let legs = found.len() + 4 - wanted;
         let problem = match legs {
-            2 | 6 => format!("{legs} legs of a body on four legs were found"),
+            2 | 6 => format!("{legs} legs were found on a body that needs 4"),
             _ => format!("{legs} legs were found instead of 2, 4 or 6"),
         };
         return Err(roles_error(

@@ -28,7 +28,7 @@ const MIN_DEVIATION: f64 = 5e-6;
 ///
 /// Where a limb ends in links all of whose meshes are missing, the box of the inertia of the last
 /// one takes their place: robots are published without meshes, and a foot has to touch the ground.
-/// So it is at all ends of a robot that has collision shapes at none of them.
+/// The same holds for a robot without any collision shape at the ends of its limbs.
 pub(super) fn bodies(
     robot: &urdf_rs::Robot,
     joints: &[Joint],
@@ -79,14 +79,15 @@ pub(super) fn bodies(
     };
     bare.retain(is_bare);
     let mut problem = "its collision meshes are missing; the box of its inertia takes their place";
+    let mut remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
     if bare.is_empty() && !has_an_end {
         problem = "no limb's end has a <collision>; the box of its inertia takes its place";
+        remedy = "write a <collision> with a sphere, box, cylinder or capsule";
         bare = silent.into_iter().filter(is_bare).collect();
     }
     for index in last_links(robot, places, &bare) {
         if let (Some((merged, place)), Some(shape)) = (places[index], box_of_inertia(&robot.links[index].inertial)) {
             let name = &robot.links[index].name;
-            let remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
             warnings.push(Warning::new(file, format!("link \"{name}\""), problem, remedy));
             let shapes = vec![Shape { origin: place * shape.origin, ..shape }];
             bodies.push((index, Body { name: name.clone(), link: merged, shapes, surface: BodySurface::default() }));

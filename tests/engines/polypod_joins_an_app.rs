@@ -10,7 +10,7 @@ use bevy_time::{Fixed, Time, TimePlugin, TimeUpdateStrategy};
 use polypod::batch::Batch;
 use polypod::components::{JointState, Robot};
 use polypod::systems::PolypodPlugins;
-use polypod::{HostedStep, Sim, SimOptions};
+use polypod::{Autoreset, HostedStep, Sim, SimOptions};
 
 use crate::common::busy;
 
@@ -153,10 +153,16 @@ fn what_a_host_cannot_do_is_said() {
     without.add_plugins((TimePlugin, PolypodPlugins::in_schedule(Update)));
     let said = update(without);
     assert!(said[0].starts_with("SimOptions: the app has none"), "{said:?}");
-    assert!(said[1].starts_with("the host app: it has not run PreStartup"), "{said:?}");
+    assert!(said[1].starts_with("the host app: polypod is not set up"), "{said:?}");
     let mut dumps = App::new();
     dumps.insert_resource(SimOptions { dump_dir: Some("dumps".into()), ..options() });
     dumps.add_plugins((TimePlugin, PolypodPlugins::in_schedule(Update)));
     let said = update(dumps);
     assert!(said[0].starts_with("dump_dir: dumps are written by Sim alone"), "{said:?}");
+    let mut never = App::new();
+    never.insert_resource(SimOptions { autoreset: Autoreset::Disabled, ..options() });
+    never.add_plugins((TimePlugin, PolypodPlugins::in_schedule(Update)));
+    let said = update(never);
+    assert!(said[0].starts_with("autoreset: a host app has no call that resets envs"), "{said:?}");
+    assert!(said[1].starts_with("the host app: polypod is not set up"), "{said:?}");
 }

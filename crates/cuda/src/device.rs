@@ -29,6 +29,9 @@ pub enum DeviceError {
     /// The compiler refuses the text.
     #[error("NVRTC cannot compile the text for the card: {0}")]
     Compiler(String),
+    /// The variable that names the kernels names none.
+    #[error("POLYPOD_CUDA_KERNELS is `{0}`, which is none of common, own and ready")]
+    Kernels(String),
     /// The card's memory or the host's pinned memory is too small.
     #[error("the card has {free} MB of memory free, and the robots need {needed} MB")]
     Memory {
@@ -59,6 +62,7 @@ impl DeviceError {
             Self::OldDriver(..) => "install a newer driver of NVIDIA's, or use \"articulated\"",
             Self::OldCard { .. } => "use a card of the Ampere generation or newer, or \"articulated\"",
             Self::NoCompiler => "install torch for CUDA, or set POLYPOD_NVRTC to libnvrtc.so, or use \"articulated\"",
+            Self::Kernels(_) => "leave the variable out, or name one of them",
             Self::Memory { .. } => "use fewer envs, or \"articulated\"",
             Self::Compiler(_) | Self::Call { .. } => "use \"articulated\", which has the same bits on the CPU",
             Self::Unsupported(_) => "use \"articulated\"",

@@ -20,7 +20,7 @@ use crate::tables::Tables;
 const VARIABLE: &str = "POLYPOD_CUDA_KERNELS";
 /// Control steps of a block after which its own kernel is worth its compilation.
 const WORTH: u32 = 50;
-/// Most own kernels of a process: each is some hundred kB of code.
+/// Most own kernels of an engine: each is some hundred kB of code.
 const MOST: usize = 64;
 /// Most kernels that are compiled at a time.
 const MOST_AT_A_TIME: usize = 8;
@@ -32,7 +32,7 @@ pub(crate) fn load(context: &Arc<CudaContext>, ptx: String) -> Result<CudaFuncti
     module.load_function("polypod_control_step").map_err(call("cuModuleGetFunction"))
 }
 
-/// An own kernel, once it is compiled; none where there are too many.
+/// An own kernel, once it is compiled; `None` where the common kernel steps instead.
 pub(crate) type Own = Arc<OnceLock<Result<Option<CudaFunction>, DeviceError>>>;
 
 /// Kernels that step: the common one, own ones that the first step waits for, or own ones from when
@@ -70,12 +70,13 @@ impl Kernels {
     /// Compiles the common kernel.
     ///
     /// # Errors
-    /// No compiler, or one that refuses the text.
+    /// No compiler, or one that refuses the text; another value of the variable.
     pub(crate) fn new(context: &Arc<CudaContext>) -> Result<Self, DeviceError> {
         let choice = match std::env::var(VARIABLE).as_deref() {
             Ok("own") => Choice::Own,
             Ok("ready") => Choice::WhenReady,
-            _ => Choice::Common,
+            Ok("common") | Err(_) => Choice::Common,
+            Ok(other) => return Err(DeviceError::Kernels(other.to_owned())),
         };
         Ok(Self {
             context: context.clone(),
@@ -137,8 +138,14 @@ impl Kernels {
         if work.running < (cores / 2).clamp(1, MOST_AT_A_TIME) {
             work.running += 1;
             drop(work);
+            drop(known);
             let (context, work) = (self.context.clone(), self.work.clone());
-            locked(&self.threads).push(thread::spawn(move || compile_waiting(&context, &work)));
+            let spawned = thread::Builder::new().spawn(move || compile_waiting(&context, &work));
+            match spawned {
+                Ok(thread) => locked(&self.threads).push(thread),
+                // without a further thread the caller compiles
+                Err(_) => compile_waiting(&self.context, &self.work),
+            }
         }
         own
     }
@@ -153,7 +160,11 @@ fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>) {
             return;
         };
         drop(all);
-        let _ = own.set(nvrtc::compile(Some(&header)).and_then(|ptx| load(context, ptx)).map(Some));
+        let compile = || nvrtc::compile(Some(&header)).and_then(|ptx| load(context, ptx)).map(Some);
+        // a step may wait for the outcome, whatever it is
+        let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(compile));
+        let made = made.unwrap_or_else(|_| Err(DeviceError::Compiler("the thread that compiles panicked".into())));
+        let _ = own.set(made);
     }
 }
 

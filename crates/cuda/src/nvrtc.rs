@@ -61,12 +61,15 @@ fn candidates() -> Vec<PathBuf> {
     found
 }
 
-/// The library. It stays loaded, for threads that compile end at any time.
+/// The library. It stays loaded: a thread that compiles may outlive its caller.
 fn library() -> Option<&'static Library> {
-    static LIBRARY: OnceLock<Option<Library>> = OnceLock::new();
+    static LIBRARY: OnceLock<Library> = OnceLock::new();
+    if let Some(found) = LIBRARY.get() {
+        return Some(found);
+    }
     // SAFETY: the library has no initialisers that depend on this process
-    let open = || candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok());
-    LIBRARY.get_or_init(open).as_ref()
+    let found = candidates().into_iter().find_map(|path| unsafe { Library::new(path) }.ok())?;
+    Some(LIBRARY.get_or_init(|| found))
 }
 
 /// Whether the library is there.

@@ -12,6 +12,9 @@ use polypod_dynamics::{
 use crate::heights::Heights;
 use crate::layout::*;
 
+/// Bytes of constant memory that a kernel has (CUDA C++ Programming Guide, 17.2).
+const CONSTANT_BYTES: usize = 64 << 10;
+
 /// A feature that the text of the device does not have yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unsupported {
@@ -121,8 +124,12 @@ impl Tables {
     }
 
     /// The tables as a header of the device's text, with which it is the text of this morphology
-    /// alone: all sizes are constants. Absent if a number is not finite, which C cannot write.
+    /// alone: all sizes are constants. Absent if a number is not finite, which C cannot write, or if
+    /// the tables do not fit into a card's constant memory.
     pub fn header(&self) -> Option<String> {
+        if size_of::<i32>() * (self.integers.len() + self.numbers.len()) > CONSTANT_BYTES {
+            return None;
+        }
         let mut text = String::new();
         for &(name, place) in INTEGER_PLACES.iter().filter(|(_, place)| *place < NUM_INTEGERS) {
             writeln!(text, "#define INTEGER_{name} {}", self.integers[place]).ok()?;

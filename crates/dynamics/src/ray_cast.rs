@@ -184,9 +184,7 @@ impl<const N: usize> Queue<N> {
     /// Lets the rays of a mask wait.
     #[inline(always)]
     fn push<S: Real>(&mut self, mask: S::Mask, numbers: [S; N]) {
-        if !S::any(mask) {
-            return;
-        }
+        let Some(mask) = S::when(mask) else { return };
         let len = self.len;
         assert!(len <= MOST_RAYS, "a queue has room for all rays that are under way");
         let mut k = 0;

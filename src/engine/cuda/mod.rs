@@ -112,7 +112,11 @@ impl EngineFactory for OnDevice {
         let placed = match self.place(setup) {
             Ok(placed) => Some(placed),
             Err(error) if self.if_faster => {
-                tracing::info!("physics.engine auto: the CPU steps: {error}");
+                if polypod_cuda::find().is_err() {
+                    tracing::info!("physics.engine auto: the CPU steps: {error}");
+                } else {
+                    tracing::warn!("physics.engine auto: the CPU steps: {error}");
+                }
                 None
             }
             Err(error) => return Err(error),
