@@ -47,7 +47,8 @@ class Adapt:
     which says its networks and task too."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Train a separate network from scratch in place of the policy. auto: where the policy falls
-    before it ends a turn or a stop, and a GPU is there."""
+    before it ends a turn or a stop, a GPU is there, and neither --checkpoint nor --neighbours is
+    given."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")

@@ -279,21 +279,23 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("separate", "has_gpu", "falls", "neighbours", "begins"),
+    ("options", "has_gpu", "falls", "begins"),
     [
-        ("auto", True, AT_ONCE, False, True),
-        ("auto", True, LATER, False, False),
-        ("auto", True, {}, False, False),
-        ("auto", False, AT_ONCE, False, False),
-        ("auto", True, AT_ONCE, True, False),
-        ("always", False, {}, False, True),
-        ("never", True, AT_ONCE, False, False),
+        ({}, True, AT_ONCE, True),
+        ({}, True, LATER, False),
+        ({}, True, {}, False),
+        ({}, False, AT_ONCE, False),
+        ({"neighbours": 1}, True, AT_ONCE, False),
+        ({"checkpoint": LEGGED}, True, AT_ONCE, False),
+        ({"checkpoint": LEGGED, "separate": "always"}, True, AT_ONCE, True),
+        ({"separate": "always"}, False, {}, True),
+        ({"separate": "never"}, True, AT_ONCE, False),
     ],
 )
-def test_when_a_separate_network_begins(monkeypatch, separate, has_gpu, falls, neighbours, begins):
+def test_when_a_separate_network_begins(monkeypatch, options, has_gpu, falls, begins):
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
     before = dataclasses.replace(FIGURES, **falls)
-    assert adapt._is_separate(adapt.Options("spot", separate=separate), before, neighbours) is begins
+    assert adapt._is_separate(adapt.Options("spot", **options), before) is begins
 
 
 def test_a_critic_goes_on_for_another_body():
