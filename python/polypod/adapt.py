@@ -188,8 +188,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         has_critic = "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
         train_config = _train_config(options, manifest, shares, has_critic)
         if "distillation" in manifest["train_config"]:
-            # it was taught with sensors better than those of the task
-            changes = [*changes, NO_NOISE]
+            # it was taught with sensors better than the task's; later changes outweigh this one
+            changes = [NO_NOISE, *changes]
     plan = session.settle(
         of_run,
         train_config,
