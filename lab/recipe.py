@@ -64,7 +64,7 @@ class Recipe:
     bodies: tuple[tuple[str, ...], ...]
     """Arguments of `polypod bodies generate`, after the folder."""
     drafts: tuple[str, ...] = ()
-    """Robots of the library that are drafted from their URDF, as robots of strangers are."""
+    """Robots of the library that `polypod robot new` drafts from their URDF."""
 
     def robots(self, names: Sequence[str], out: Path) -> list[str]:
         """Robots that names and groups stand for."""

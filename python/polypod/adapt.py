@@ -247,7 +247,7 @@ def _fitting_policy(robot: str) -> Path:
 
 
 def _other_policy(checkpoint: Path) -> Path | None:
-    """The policy of all legs, with which a robot may walk that does not walk with that of four."""
+    """The policy of all legs, for a robot that does not walk with the policy of four legs."""
     return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
