@@ -64,7 +64,7 @@ class Recipe:
     bodies: tuple[tuple[str, ...], ...]
     """Arguments of `polypod bodies generate`, after the folder."""
     drafts: tuple[str, ...] = ()
-    """Robots of the library that are drafted from their URDF, as robots of strangers are."""
+    """Robots of the library that `polypod robot new` drafts from their URDF."""
 
     def robots(self, names: Sequence[str], out: Path) -> list[str]:
         """Robots that names and groups stand for."""
@@ -130,9 +130,10 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
 
 
 def environment(recipe: Recipe, out: Path) -> dict[str, str]:
-    """The environment of a stage: drawn bodies and the recipe's tasks are found in it."""
+    """The environment of a stage, with drawn bodies, drafted robots and the tasks of the recipe."""
     drawn = [str(bodies_folder(out, number)) for number in range(len(recipe.bodies))]
-    folders = [*drawn, str(out / "drafts"), str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
+    drafted = [str(out / "drafts")] if recipe.drafts else []
+    folders = [*drawn, *drafted, str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
     return {**os.environ, "POLYPOD_PATH": os.pathsep.join(folder for folder in folders if folder)}
 
 

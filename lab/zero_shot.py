@@ -1,4 +1,4 @@
-"""Walks with robots that nobody prepared: `python -m lab.zero_shot FOLDER --checkpoint FILE`.
+"""Judges robots that nobody prepared: `python -m lab.zero_shot FOLDER --checkpoint FILE`.
 
 Every URDF of a folder is drafted as `polypod robot new` does it; a library of `polypod bodies
 generate` is taken as it is. Each robot is judged by the definition of walking. A file that is
@@ -6,6 +6,7 @@ refused has a line with the reason. With several checkpoints the last lines comp
 """
 
 import argparse
+import collections
 import dataclasses
 import json
 import tempfile
@@ -129,6 +130,9 @@ def main() -> None:
         drafts = options.drafts or Path(temporary)
         drafts.mkdir(parents=True, exist_ok=True)
         robots = [robot for folder in options.folders for robot in robots_of(folder, drafts)]
+        counts = collections.Counter(robot.name for robot in robots)
+        if several := [name for name, count in counts.items() if count > 1]:
+            parser.error(f"several files name their robot {several[0]}; rename all but one")
         for name in options.checkpoint:
             found = measure(
                 runs.resolve(Path(name)),

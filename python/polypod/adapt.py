@@ -37,8 +37,8 @@ TRAIN_CONFIG, ON_GPU, SEPARATE = "adapt", "adapt_on_gpu", "adapt_separate"
 CRITIC_WARMUP = 10
 """Iterations in which a new critic learns before the policy moves."""
 HOPELESS = 0.5
-"""A policy that falls in more than this share of the episodes, and before it ends any turn or stop,
-is no beginning."""
+"""A separate network is worth its training where the policy falls in more than this share of the
+episodes, and before it ends any turn or stop."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -69,7 +69,7 @@ class Options:
     network."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
-    or a stop, and a GPU is there."""
+    or a stop, a GPU is there, and neither checkpoint nor neighbours are given."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
     device: str = "auto"
@@ -126,6 +126,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     """
     began = time.monotonic()
     reporter = reporter or Progress()
+    if options.neighbours and options.separate == "always":
+        raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
     if options.train_config is not None:
         config.load(options.train_config)  # its mistakes are said before anything is written
     given = Path(options.robot)
@@ -142,8 +144,6 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         library = {entry["name"] for entry in _core.robots()}
         near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
         neighbours = near[: options.neighbours]
-        if neighbours and options.separate == "always":
-            raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
         changes = _changes(manifest, robot, name, near[:1], options.overrides)
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
         other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
@@ -168,7 +168,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
     )
-    is_separate = _is_separate(options, before[name], bool(neighbours))
+    is_separate = _is_separate(options, before[name])
     of_run = session.Options(
         init=None if is_separate else checkpoint,
         seed=options.seed,
@@ -188,8 +188,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         has_critic = "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
         train_config = _train_config(options, manifest, shares, has_critic)
         if "distillation" in manifest["train_config"]:
-            # it was taught with sensors better than those of the task
-            changes = [*changes, NO_NOISE]
+            # it was taught with sensors better than the task's; later changes outweigh this one
+            changes = [NO_NOISE, *changes]
     plan = session.settle(
         of_run,
         train_config,
@@ -247,7 +247,7 @@ def _fitting_policy(robot: str) -> Path:
 
 
 def _other_policy(checkpoint: Path) -> Path | None:
-    """The policy of all legs, with which a robot may walk that does not walk with that of four."""
+    """The policy of all legs, for a robot that does not walk with the policy of four legs."""
     return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
@@ -271,12 +271,13 @@ def _has_gpu(options: Options) -> bool:
     return options.device != "cpu" and torch.cuda.is_available()
 
 
-def _is_separate(options: Options, before: Walking, has_neighbours: bool) -> bool:
-    """Whether a separate network promises more than the policy."""
+def _is_separate(options: Options, before: Walking) -> bool:
+    """Whether a separate network promises more than the policy; a given policy is kept."""
     if options.separate != "auto":
         return options.separate == "always"
+    is_bound = options.checkpoint is not None or options.neighbours > 0
     falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
-    return _has_gpu(options) and not has_neighbours and falls_at_once
+    return _has_gpu(options) and not is_bound and falls_at_once
 
 
 def _own_train_config(options: Options) -> TrainConfig:

@@ -98,7 +98,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
     ankle_roll = bool(rng.random() < 0.75)
     order = str(rng.choice(HIP_ORDERS)).split()
     if not has_soles:
-        # on points there is nothing to turn about
+        # a point does not hold against yaw
         order = [turn for turn in order if turn != "yaw"]
     # hips in one point, or one below the other
     apart = rng.random() < 0.75
@@ -178,7 +178,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
 def _at_most(
     most: float, shares: Mapping[str, float], times: Mapping[str, float], otherwise: float
 ) -> dict[str, float]:
-    """Shares of the mass, less where parts, of which there are `times`, have more than `most`."""
+    """Scales shares of the mass down to a sum of `most`; `times` counts the parts of each share."""
     total = sum(times.get(part, otherwise) * share for part, share in shares.items())
     return {part: share * min(1.0, most / total) for part, share in shares.items()}
 
@@ -206,7 +206,7 @@ def _rod(name: str, mass: float, length: float, radius: float, ahead: float = 0.
 
 
 def _upper_body(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float, rest: float, arms: bool) -> None:
-    """Gives the base its shape and adds waist, arms and head, of the mass that is left."""
+    """Gives the base its shape and adds waist, arms and head, which share the mass `rest`."""
     beside = abs(parts[1].at[1])
     width = max(2.0 * beside, 0.2 * leg)
     chest = leg * rng.uniform(0.4, 0.75)
@@ -481,7 +481,7 @@ def _written(
 
 
 def _in_direction_of_the_role(part: _Part, axis: Matrix) -> Matrix:
-    """Turns the axis of a wrist, which may lie in any way, as the role states it."""
+    """Flips the axis of a wrist that points against the direction of its role."""
     if part.group != "wrists":
         return axis
     along = axis[_STATED[part.joint[2:]]]

@@ -43,11 +43,12 @@ class Adapt:
     """Iterations between two measurements."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
-    the policy's. Default: adapt; with a GPU adapt_on_gpu; adapt_separate for a separate network,
-    which says its networks and task too."""
+    the policy's. Default: adapt; with a GPU adapt_on_gpu; for a separate network adapt_separate,
+    which also sets networks and task."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Train a separate network from scratch in place of the policy. auto: where the policy falls
-    before it ends a turn or a stop, and a GPU is there."""
+    before it ends a turn or a stop, a GPU is there, and neither --checkpoint nor --neighbours is
+    given."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")

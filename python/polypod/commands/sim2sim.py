@@ -14,7 +14,8 @@ class Sim2sim:
 
     Needs the extras export and bench. Policies that get up or track motions are judged by that.
 
-    Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by.
+    Exit code 3 when a robot does not walk in MuJoCo, by the definition that eval judges by, or does
+    not get up or track its motions there.
     """
 
     checkpoint: Path
@@ -26,8 +27,8 @@ class Sim2sim:
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     num_envs: Count = None
-    """Envs per robot, of a policy that tracks motions for each of them. Default: 32, with --model
-    20, with motions 16."""
+    """Envs per robot; for a policy that tracks motions, per robot and motion. Default: 32, with
+    --model 20, with motions 16."""
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Annotated[Literal["walking", "task", "phases"] | None, arg(metavar="{walking,task,phases}")] = None

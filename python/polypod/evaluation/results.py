@@ -30,7 +30,7 @@ class TileResult:
     `FOLLOWS`."""
     fall_rate: float
     power: float = math.nan
-    """W, as of a robot; NaN, as the next two, in files of builds that did not write it."""
+    """W, as of a robot. This figure and the next two are NaN in files of builds without them."""
     foot_slip: float = math.nan
     """m/s, as of a robot."""
     stumbles: float = math.nan

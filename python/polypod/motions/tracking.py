@@ -246,7 +246,7 @@ class Tracker:
             # the episode runs out of time at the clip's end: that truncates it
             length[mine] = np.maximum(env.max_episode_length - left, 0)
         if parts:
-            # one call: each of them measures what follows from the states
+            # one call for all robots, since each call computes what follows from the states
             whole = {key: np.concatenate([state[key] for _, state in parts]) for key in parts[0][1]}
             env.sim.set_state(np.concatenate([mine for mine, _ in parts]), **whole)
         env.sim.set_episode_length(length)

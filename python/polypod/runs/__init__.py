@@ -50,7 +50,7 @@ def _is_other_folder(path: Path) -> bool:
     """Whether it is a folder without checkpoints, such as one that is called like a policy."""
     try:
         return path.is_dir() and next(path.glob("model_*.pt"), None) is None
-    except OSError:  # a folder of others
+    except OSError:  # a folder that may not be read
         return True
 
 

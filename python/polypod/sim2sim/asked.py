@@ -22,11 +22,11 @@ def of(checkpoint: Path, robots: Sequence[str] | None, overrides: Sequence[str])
         overrides: `key=value` changes to the task, on top of the run's own.
     """
     manifest = load(checkpoint, robots=robots).manifest
-    name = play_task(manifest["task"])
+    play = play_task(manifest["task"])
     changes, _ = split([*manifest["overrides"], *overrides])
-    if observes_motions(name, changes):
+    if observes_motions(play, changes):
         return "motions"
-    _, resolved = _core.explain_task(name, changes)
+    _, resolved = _core.explain_task(play, changes)
     task = tomllib.loads(resolved)
     if "base_velocity" in task["commands"]:
         return "velocity"

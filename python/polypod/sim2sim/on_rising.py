@@ -62,7 +62,7 @@ class RisingComparison:
 
     @property
     def transfers(self) -> bool:
-        """Whether all robots do."""
+        """Whether all robots get up in MuJoCo."""
         return all(robot.transfers for robot in self.robots.values())
 
     def as_dict(self) -> dict[str, Any]:

@@ -3,6 +3,9 @@
 import json
 import sys
 
+import pytest
+from rich.console import Console
+
 from common import ROOT
 from lab import zero_shot
 from polypod import bodies, bundled
@@ -32,7 +35,12 @@ def test_every_file_has_a_line(tmp_path):
     (figures,) = alone.robots.values()
     assert found["body_quadruped_0"]["walking"]["error_vel_xy"] == figures.walking.error_vel_xy
     assert found["body_quadruped_0"]["distance"]["distance"] > 0.0
-    assert zero_shot.table(found)
+    console = Console(width=200)
+    with console.capture() as printed:
+        zero_shot.table(found).print(console)
+    _, *lines = printed.get().splitlines()
+    assert [line.split()[0] for line in lines] == [robot.name for robot in robots]
+    assert [line.split()[0] for line in lines if line.rstrip().endswith("refused")] == ["table"]
 
 
 def test_the_program(tmp_path, monkeypatch, capsys):
@@ -45,3 +53,14 @@ def test_the_program(tmp_path, monkeypatch, capsys):
     assert "legged: 0 of 2 walk" in printed
     assert "one: why" in printed
     assert set(json.loads((tmp_path / "found.json").read_text())) == {"quadruped", "legged"}
+
+
+def test_two_robots_of_one_name_are_refused(tmp_path, monkeypatch, capsys):
+    """The draft of the second one would take the place of the first one's."""
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "robot.urdf").write_text('<robot name="table"><link name="top"/></robot>')
+    monkeypatch.setattr(sys, "argv", ["zero_shot", str(tmp_path / "one"), str(tmp_path / "two")])
+    with pytest.raises(SystemExit):
+        zero_shot.main()
+    assert "several files name their robot robot; rename all but one" in capsys.readouterr().err

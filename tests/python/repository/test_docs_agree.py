@@ -281,8 +281,8 @@ def precision(pages: Pages) -> list[str]:
     return [f"{page}: {text!r}" for page, text in said if not re.search(r"`f32`|single precision", text)]
 
 
-EMBODIED = {"unitree_sdk2"}
-"""Names that begin like those of robots."""
+EMBODIED = {"berkeley_drafted", "unitree_sdk2"}
+"""Other names that begin like a robot: a library and a stage of a recipe."""
 
 
 MISSING = re.compile(r"^## (Not (?:there|modelled|promised).*)$", re.MULTILINE)

@@ -1,6 +1,7 @@
 """A recipe trains its stages, goes on where it ended, and its model becomes a bundled policy."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from common import ROOT
 from lab import recipe
 from polypod import _core, bundled
 from polypod.evaluation import evaluate_checkpoint
+from polypod.new_robot import new_robot
 from polypod.runs import config
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
@@ -97,7 +99,11 @@ def test_a_policy_may_go_without_its_critic(made, tmp_path, words):
 def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     """Stages name configs and tasks that load, robots of the library, and stages before them."""
     plan = recipe.read(folder)
-    monkeypatch.setenv("POLYPOD_PATH", str(folder))
+    drafts = tmp_path / "configs" / "robots"
+    drafts.mkdir(parents=True)
+    for name in plan.drafts:
+        new_robot(recipe.LIBRARY / name / "robot.urdf", drafts / f"drafted_{name}.toml")
+    monkeypatch.setenv("POLYPOD_PATH", f"{tmp_path}{os.pathsep}{folder}")
     library = {entry["name"] for entry in _core.robots()}
     drawn = tuple(f"{words[words.index('--prefix') + 1]}_" for words in plan.bodies)
     known, tasks = set(bundled.NAMES), {}
@@ -105,8 +111,7 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
         file = folder / stage.config
         task = config.load(str(file) if file.is_file() else stage.config).run.task
         robots = plan.robots([name for name in stage.robots if not name.startswith("@drawn.")], tmp_path)
-        made = {name for name in robots if name.startswith(drawn)} | {f"drafted_{name}" for name in plan.drafts}
-        robots = [name for name in robots if name not in made]
+        robots = [name for name in robots if not name.startswith(drawn)]
         assert set(robots) <= library, stage.name
         changes = tuple(change for change in stage.changes if not change.startswith("train."))
         tasks.setdefault((task, changes), set()).update(robots)
