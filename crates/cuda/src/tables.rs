@@ -124,8 +124,8 @@ impl Tables {
     }
 
     /// The tables as a header of the device's text, with which it is the text of this morphology
-    /// alone: all sizes are constants. Absent if a number is not finite, which C cannot write, or if
-    /// the tables do not fit into a card's constant memory.
+    /// alone: all sizes are constants. Absent if a number is not finite, which C cannot write, or
+    /// if the tables do not fit into a card's constant memory.
     pub fn header(&self) -> Option<String> {
         if size_of::<i32>() * (self.integers.len() + self.numbers.len()) > CONSTANT_BYTES {
             return None;
