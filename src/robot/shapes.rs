@@ -28,7 +28,6 @@ const MIN_DEVIATION: f64 = 5e-6;
 ///
 /// Where a limb ends in links all of whose meshes are missing, the box of the inertia of the last
 /// one takes their place: robots are published without meshes, and a foot has to touch the ground.
-/// The same holds for a robot without any collision shape at the ends of its limbs.
 pub(super) fn bodies(
     robot: &urdf_rs::Robot,
     joints: &[Joint],
@@ -38,7 +37,7 @@ pub(super) fn bodies(
     warnings: &mut Vec<Warning>,
 ) -> Vec<Body> {
     let mut bodies = Vec::new();
-    let (mut bare, mut silent) = (Vec::new(), Vec::new());
+    let mut bare = Vec::new();
     for (index, (link, place)) in robot.links.iter().zip(places).enumerate() {
         let Some((merged, place)) = *place else {
             continue;
@@ -67,27 +66,18 @@ pub(super) fn bodies(
                 .push((index, Body { name: link.name.clone(), link: merged, shapes, surface: BodySurface::default() }));
         } else if link.collision.iter().any(|collision| matches!(collision.geometry, urdf_rs::Geometry::Mesh { .. })) {
             bare.push(index);
-        } else {
-            silent.push(index);
         }
     }
-    let is_end = |link: usize| link > 0 && joints.iter().all(|joint| joint.parent != link);
-    let has_an_end = bodies.iter().any(|(_, body): &(usize, Body)| is_end(body.link));
-    let is_bare = |index: &usize| {
+    bare.retain(|index| {
         let moved = places[*index].map_or(0, |(merged, _)| merged);
-        is_end(moved) && bodies.iter().all(|(_, body)| body.link != moved)
-    };
-    bare.retain(is_bare);
-    let mut problem = "its collision meshes are missing; the box of its inertia takes their place";
-    let mut remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
-    if bare.is_empty() && !has_an_end {
-        problem = "no limb's end has a <collision>; the box of its inertia takes its place";
-        remedy = "write a <collision> with a sphere, box, cylinder or capsule";
-        bare = silent.into_iter().filter(is_bare).collect();
-    }
+        let is_end = moved > 0 && joints.iter().all(|joint| joint.parent != moved);
+        is_end && bodies.iter().all(|(_, body): &(usize, Body)| body.link != moved)
+    });
     for index in last_links(robot, places, &bare) {
         if let (Some((merged, place)), Some(shape)) = (places[index], box_of_inertia(&robot.links[index].inertial)) {
             let name = &robot.links[index].name;
+            let problem = "its collision meshes are missing; the box of its inertia takes their place";
+            let remedy = "put the files there, or write a <collision> with a sphere, box, cylinder or capsule";
             warnings.push(Warning::new(file, format!("link \"{name}\""), problem, remedy));
             let shapes = vec![Shape { origin: place * shape.origin, ..shape }];
             bodies.push((index, Body { name: name.clone(), link: merged, shapes, surface: BodySurface::default() }));

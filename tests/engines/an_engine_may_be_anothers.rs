@@ -161,5 +161,5 @@ fn what_it_cannot_do_and_names_of_none_are_refused() {
     assert!(error.contains("physics.engine: there is no engine `articulatd`"), "{error}");
     assert!(error.contains("did you mean `articulated`?"), "{error}");
     let error = turning("kinematic").unwrap_err();
-    assert!(error.contains("known engines: articulated, avian"), "{error}");
+    assert!(error.contains("known engines: articulated, auto, avian"), "{error}");
 }
