@@ -19,7 +19,7 @@ from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.results import finite
 from polypod.evaluation.walking import Walking, walks, why_not
 from polypod.files import write_text
-from polypod.new_robot import new_robot
+from polypod.new_robot import new_robot, robot_name
 from polypod.tables import Rows, console_of_output
 from polypod.training.report import walking_cells
 
@@ -49,7 +49,7 @@ def robots_of(folder: Path, drafts: Path) -> Iterator[Robot]:
     for config in sorted([*folder.glob("*.toml"), *library.glob("*.toml")]):
         yield Robot(config.stem, str(config))
     for urdf in sorted(folder.glob("*.urdf")):
-        name = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in urdf.stem.lower())
+        name = robot_name(urdf)
         try:
             new = new_robot(urdf, drafts / f"{name}.toml", force=True)
         except _core.PolypodError as error:

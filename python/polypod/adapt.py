@@ -23,7 +23,7 @@ from polypod import _core, bundled, descriptions, runs
 from polypod.compat import tomllib
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
-from polypod.new_robot import new_robot
+from polypod.new_robot import new_robot, robot_name
 from polypod.runs import config, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
@@ -131,7 +131,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     if options.train_config is not None:
         config.load(options.train_config)  # its mistakes are said before anything is written
     given = Path(options.robot)
-    run = run_dir.create(options.log_dir, EXPERIMENT, _robot_name(given))
+    run = run_dir.create(options.log_dir, EXPERIMENT, robot_name(given))
     try:
         robot = _draft(options, run, reporter) if given.suffix == URDF else run_dir.source(options.robot)
         checkpoint = options.checkpoint or _fitting_policy(robot)
@@ -223,7 +223,7 @@ def _draft(options: Options, run: Path, reporter: Reporter) -> str:
     folder.mkdir()
     new = new_robot(
         urdf,
-        folder / f"{_robot_name(urdf)}.toml",
+        folder / f"{robot_name(urdf)}.toml",
         package_dirs=options.package_dirs,
         locked_joints=options.locked_joints,
     )
@@ -231,12 +231,6 @@ def _draft(options: Options, run: Path, reporter: Reporter) -> str:
     for note in new.notes:
         reporter.message(f"  {note}")
     return run_dir.source(str(new.path))
-
-
-def _robot_name(given: Path) -> str:
-    """A name for the robot and its run, of letters that every file system takes."""
-    name = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in given.stem.lower())
-    return name[:60] or "robot"
 
 
 def _fitting_policy(robot: str) -> Path:

@@ -161,6 +161,12 @@ def new_robot(
     return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], task_of(path) == TASK, needs)
 
 
+def robot_name(given: Path) -> str:
+    """A name for the robot and its run, of letters that every file system takes."""
+    name = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in given.stem.lower())
+    return name[:60] or "robot"
+
+
 def _check_place(path: Path, name: str, force: bool) -> None:
     if path.suffix != ".toml" or path.stem != name:
         raise _core.ConfigError(f"--out {path}: the file of a robot `{name}` is {name}.toml")

@@ -108,7 +108,8 @@ class Beginning:
                 "choose smaller --steps or --num-envs"
             )
         self.seed = options.seed
-        self.task: dict[str, Any] = tomllib.loads(self.sim.resolved_config())["task"]
+        self.resolved: dict[str, Any] = tomllib.loads(self.sim.resolved_config())
+        self.task: dict[str, Any] = self.resolved["task"]
         if self.task["scene"].get("obstacles"):
             raise _core.ConfigError(
                 f"{self.sim.task_name}: scene.obstacles: MuJoCo is given the task's ground and gravity; compare in a "

@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.accuracy import reference
-from polypod.compat import tomllib
 from polypod.evaluation import Policy, rising
 from polypod.evaluation.results import finite
 from polypod.evaluation.rising import Goal, Rising
@@ -84,7 +83,7 @@ class Poses(Beginning):
     ) -> None:
         """Draws the poses; `terms` are the run's. Raises ConfigError where nothing is to get up."""
         super().__init__(manifest, sources, options, terms)
-        self.goals: Mapping[str, Goal] = rising.goals(self.sim, tomllib.loads(self.sim.resolved_config()))
+        self.goals: Mapping[str, Goal] = rising.goals(self.sim, self.resolved)
         if missing := [name for name in self.sim.robots if name not in self.goals]:
             raise _core.ConfigError(
                 f"{self.sim.task_name}: {missing[0]} is not rewarded for `upright` and `torso_height`; sim2sim cannot "
