@@ -115,6 +115,8 @@ class Result:
     """Time of the whole command: drafting, training, measuring."""
     stopped_by: int | None = None
     """The signal that ended it."""
+    unfinished: Path | None = None
+    """Best checkpoint of a separate network that does not beat the policy yet."""
 
 
 def adapt(options: Options, reporter: Reporter | None = None) -> Result:
@@ -204,9 +206,10 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     if goal.best is None:
         # interrupted before the first measurement
         return Result(name, robot, last, before, {}, False, [], _minutes(began), stopped_by)
-    best, after = goal.best.checkpoint, goal.best.robots
+    best, after, unfinished = goal.best.checkpoint, goal.best.robots, None
     if rank(after, wanted) <= rank(before, wanted):
         # a policy that no measurement beats stays what it was
+        unfinished = best if is_separate else None
         best, after = checkpoint, before
     elif goal.walked and goal.confirmation is not None:
         after = goal.confirmation
@@ -214,7 +217,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         after = _measured(best, None, [], options)
     if goal.best.checkpoint != last:
         run_dir.remove_checkpoint(last)
-    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by)
+    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by, unfinished)
 
 
 def _draft(options: Options, run: Path, reporter: Reporter) -> str:
@@ -356,9 +359,16 @@ def verdict(result: Result) -> str:
     reasons = {name: "; ".join(why_not(walking)) for name, walking in result.after.items()}
     why = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
     end = "interrupted" if result.stopped_by is not None else "it does not walk"
+    if result.unfinished is None:
+        next_step = f"go on with  polypod adapt {result.robot} --checkpoint {shown}"
+    else:
+        next_step = (
+            "the separate network does not beat it yet; go on with  "
+            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {SEPARATE}"
+        )
     return (
         f"{result.name}: {end} after {spent}; {why or 'it walks with one of two seeds'}. The best policy is {shown}; "
-        f"go on with  polypod adapt {result.robot} --checkpoint {shown}"
+        f"{next_step}"
     )
 
 
