@@ -135,7 +135,7 @@ class Beginning:
         sim = self._begin() if isinstance(self.sim, TermSim) else None
         return OwnTerms(sim, name) if isinstance(sim, TermSim) else None
 
-    def ends(self, name: str, interface: RobotInterface) -> "Ends":
+    def ends(self, name: str, interface: RobotInterface) -> Ends:
         """Conditions that end an episode of one robot."""
         ends = self.terminations
         groups = {*self.always_illegal, *ends.get("illegal_contact", {}).get("bodies", ())}
@@ -157,6 +157,24 @@ class Beginning:
             delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
         return delays
 
+    def drive(
+        self, robot: accuracy_robot.Robot, interface: RobotInterface, policy: FoldedPolicy, ends: Ends, late: int
+    ) -> Drive:
+        """How a policy drives a robot on level ground, with Earth's gravity.
+
+        `late` physics steps are added to its delays.
+        """
+        return Drive(
+            interface,
+            policy,
+            step_dt=self.step_dt,
+            physics_dt=self.task_dt,
+            delays=self.delays(robot) + late,
+            network_torques=functools.partial(self.sim.network_torques, robot.name),
+            least_height=ends.least_height,
+            most_tilt=ends.most_tilt,
+        )
+
 
 def heights(sim: _core.VecSim) -> reference.Heights | None:
     """The ground of a sim and `MARGIN` beyond it; None for a plane."""
@@ -177,18 +195,11 @@ def twin_of(
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
-    drive = Drive(
-        interface,
-        policy,
-        step_dt=episode.step_dt,
-        physics_dt=episode.task_dt,
-        delays=episode.delays(robot) + late,
-        network_torques=functools.partial(episode.sim.network_torques, name),
+    drive = dataclasses.replace(
+        episode.drive(robot, interface, policy, ends, late),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
         gravity=episode.sim.gravity,
-        least_height=ends.least_height,
-        most_tilt=ends.most_tilt,
     )
     return Twin(robot, bodies, episode.physics, drive)
 

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -85,8 +85,21 @@ class RobotComparison:
         return not self.why_not
 
 
+class Transferring(Protocol):
+    """Figures of one robot in both simulators, a dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def transfers(self) -> bool:
+        """Whether the robot does in MuJoCo what it learned in polypod."""
+
+
+RobotT = TypeVar("RobotT", bound=Transferring)
+
+
 @dataclasses.dataclass(frozen=True)
-class Comparison:
+class Compared(Generic[RobotT]):
     """All robots, and what they were measured on."""
 
     command: str
@@ -97,24 +110,35 @@ class Comparison:
     duration_s: float
     mujoco_version: str
     physics: Physics
-    robots: dict[str, RobotComparison]
+    robots: dict[str, RobotT]
     measured: Measured
-    distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
-    """How far the robots that the policy was not trained on are from its training bodies."""
 
     @property
     def transfers(self) -> bool:
         """Whether all robots do."""
         return all(robot.transfers for robot in self.robots.values())
 
+    def robot_as_dict(self, robot: RobotT) -> dict[str, Any]:
+        """One robot, for JSON."""
+        return {**dataclasses.asdict(robot), "transfers": robot.transfers}
+
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON."""
-        robots = {
-            name: {**dataclasses.asdict(robot), "transfers": robot.transfers, "why_not": robot.why_not}
-            for name, robot in self.robots.items()
-        }
+        robots = {name: self.robot_as_dict(robot) for name, robot in self.robots.items()}
         content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
         return content
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison(Compared[RobotComparison]):
+    """All robots under commands of a velocity."""
+
+    distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
+    """How far the robots that the policy was not trained on are from its training bodies."""
+
+    def robot_as_dict(self, robot: RobotComparison) -> dict[str, Any]:
+        """One robot, for JSON, with the criteria that it misses."""
+        return {**super().robot_as_dict(robot), "why_not": robot.why_not}
 
 
 def compare(
