@@ -433,8 +433,8 @@ def made(
     """A model with a policy in an episode, before its first reset."""
     ours = Reference.of(robot, dt=0.005)
     joints = [ours.model.joint(name).id for name in robot.joint_names]
-    drive = episode.drive(robot, interface, policy, ends, late)
-    return Maker(model, maker.clusters_of(sorted(ends.groups), ours, outlines, joints), drive)
+    clusters = maker.clusters_of(sorted(ends.groups), ours, outlines, joints)
+    return Maker(model, clusters, episode.drive(robot, interface, policy, ends, late))
 
 
 def _digest(path: Path) -> str:

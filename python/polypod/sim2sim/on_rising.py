@@ -26,7 +26,8 @@ from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
 from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
-from polypod.sim2sim.run import Compared, Progress, command_line
+from polypod.sim2sim.compared import Compared
+from polypod.sim2sim.run import Progress, command_line
 from polypod.sim2sim.twin import Twin
 
 
@@ -45,7 +46,7 @@ class BothRising:
 
 @dataclasses.dataclass(frozen=True)
 class RisingComparison(Compared[BothRising]):
-    """All robots that get up."""
+    """All robots that get up, and what they were measured on."""
 
 
 class Poses(Beginning):
@@ -75,6 +76,7 @@ def compare(
 
     Args and errors are those of `polypod.sim2sim.compare`.
     """
+    options.check()
     loaded = load(checkpoint, robots=robots)
     manifest = loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)

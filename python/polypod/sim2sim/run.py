@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,18 +15,18 @@ from polypod import _core, descriptions, rotations
 from polypod.accuracy import reference
 from polypod.arrays import Array
 from polypod.evaluation import Policy, Walking, walking
-from polypod.evaluation.results import finite, succeeds
+from polypod.evaluation.results import succeeds
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
-from polypod.provenance import Measured, measured
+from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
 from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
 from polypod.sim2sim.commands import Commanded, Commands
-from polypod.sim2sim.twin import Physics
+from polypod.sim2sim.compared import Compared
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
@@ -85,60 +85,16 @@ class RobotComparison:
         return not self.why_not
 
 
-class Transferring(Protocol):
-    """Figures of one robot in both simulators, a dataclass."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def transfers(self) -> bool:
-        """Whether the robot does in MuJoCo what it learned in polypod."""
-
-
-RobotT = TypeVar("RobotT", bound=Transferring)
-
-
-@dataclasses.dataclass(frozen=True)
-class Compared(Generic[RobotT]):
-    """All robots, and what they were measured on."""
-
-    command: str
-    """The command line that compares the same again."""
-    task: str
-    envs_per_robot: int
-    seed: int
-    duration_s: float
-    mujoco_version: str
-    physics: Physics
-    robots: dict[str, RobotT]
-    measured: Measured
-
-    @property
-    def transfers(self) -> bool:
-        """Whether all robots do."""
-        return all(robot.transfers for robot in self.robots.values())
-
-    def robot_as_dict(self, robot: RobotT) -> dict[str, Any]:
-        """One robot, for JSON."""
-        return {**dataclasses.asdict(robot), "transfers": robot.transfers}
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
-        robots = {name: self.robot_as_dict(robot) for name, robot in self.robots.items()}
-        content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
-        return content
-
-
 @dataclasses.dataclass(frozen=True)
 class Comparison(Compared[RobotComparison]):
-    """All robots under commands of a velocity."""
+    """All robots that walk, and what they were measured on."""
 
     distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
     """How far the robots that the policy was not trained on are from its training bodies."""
 
-    def robot_as_dict(self, robot: RobotComparison) -> dict[str, Any]:
-        """One robot, for JSON, with the criteria that it misses."""
-        return {**super().robot_as_dict(robot), "why_not": robot.why_not}
+    def judged(self, robot: RobotComparison) -> dict[str, Any]:
+        """Whether a robot walks in MuJoCo, and why not, for JSON."""
+        return {**super().judged(robot), "why_not": robot.why_not}
 
 
 def compare(
@@ -166,14 +122,7 @@ def compare(
             obstacles, and where MuJoCo, ONNX or onnxruntime is missing.
     """
     options = options or Options()
-    for name, count in (("num_envs", options.envs_per_robot), ("steps", options.steps)):
-        if count is not None and count < 1:
-            raise _core.ConfigError(f"{name} = {count} must be at least 1")
-    for flag, value, least, most in (("--dt", options.dt, 1e-5, 0.1), ("--friction", options.friction, 0.0, 100.0)):
-        if value is not None and not least <= value <= most:
-            raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
-    if options.command is not None and not all(math.isfinite(value) for value in options.command):
-        raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
+    options.check()
     loaded = load(checkpoint, robots=robots)
     network, manifest = loaded.network, loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)
