@@ -13,6 +13,7 @@ from common import ROOT
 from lab import recipe
 from polypod import _core, bundled
 from polypod.evaluation import evaluate_checkpoint
+from polypod.motions.tracking import terms_of_task
 from polypod.new_robot import new_robot
 from polypod.runs import config
 
@@ -119,7 +120,8 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
         known.add(stage.name)
     for (task, changes), robots in tasks.items():
         if robots:
-            _core.VecSim(task, len(robots), robots=sorted(robots), overrides=list(changes), threads=1)
+            _, own = terms_of_task(task, sorted(robots), changes)
+            _core.VecSim(task, len(robots), robots=sorted(robots), overrides=own, threads=1)
 
 
 def test_the_recipe_of_the_bundled_policy_has_all_robots(tmp_path):
