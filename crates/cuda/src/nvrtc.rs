@@ -167,8 +167,8 @@ fn compile_or_find(header: Option<&str>, threads: usize) -> Result<String, Devic
     Ok(ptx)
 }
 
-/// PTX in the user's cache. A file holds everything that the PTX was made of in front of it, so that
-/// none is taken for another.
+/// PTX in the user's cache. A file holds everything that the PTX was made of in front of it, so
+/// that none is taken for another.
 struct Kept {
     made_of: String,
     file: PathBuf,

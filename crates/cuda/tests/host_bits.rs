@@ -57,8 +57,8 @@ struct Met {
 
 /// Steps the robots of a morphology on both sides and compares them after each physics step. The
 /// last robot of the block reads separate parameters. Robots take every fourth physics step by
-/// several threads each. With `has_own` they take every second one with the text of their morphology
-/// alone.
+/// several threads each. With `has_own` they take every second one with the text of their
+/// morphology alone.
 fn compare(
     robot: &Robot,
     contact: ContactSettings,

@@ -162,7 +162,8 @@ struct DeviceEngine {
 const SHARES: [usize; 5] = [0, 3, 5, 6, 8];
 
 impl Placed {
-    /// Numbers of morphologies, as [`DeviceEngine::on_device`] counts them, that make up the shares.
+    /// Numbers of morphologies, as [`DeviceEngine::on_device`] counts them, that make up the
+    /// shares.
     fn shares(&self) -> Vec<usize> {
         let all: usize = self.robots.iter().map(|robots| robots.envs().len()).sum();
         let mut numbers: Vec<usize> = SHARES.iter().map(|share| self.number_of(all * share / 8)).collect();

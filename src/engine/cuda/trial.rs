@@ -1,5 +1,5 @@
-//! Finds the fastest way to share robots between the CPU and a device, which have the same bits: the
-//! ways take turns until it is known.
+//! Finds the fastest way to share robots between the CPU and a device, which have the same bits:
+//! the ways take turns until it is known.
 
 use std::time::{Duration, Instant};
 

@@ -91,8 +91,8 @@ pub fn step_on_host(block: &mut Block, substeps: Range<usize>) -> bool {
     step_with(polypod_control_step, block, substeps)
 }
 
-/// As [`step_on_host`], with several threads for each robot, as on a card. They are coroutines, which
-/// go on in random order from where they met.
+/// As [`step_on_host`], with several threads for each robot, as on a card. They are coroutines,
+/// which go on in random order from where they met.
 #[cfg(target_os = "linux")]
 pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
     step_with(polypod_control_step_by_threads, block, substeps)
