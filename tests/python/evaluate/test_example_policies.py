@@ -16,6 +16,7 @@ from polypod.sim2sim import beginning, on_motions, on_rising
 
 FOLDER = ROOT / "examples" / "policies"
 ALL = sorted(path.parent for path in FOLDER.glob("*/manifest.json"))
+ROUGH = sorted(folder.name for folder in ALL if folder.name.startswith("rough_"))
 
 
 def model(name):
@@ -30,7 +31,8 @@ def test_they_hold_an_actor_and_nothing_of_the_machine(folder):
     manifest = json.loads((folder / run_dir.MANIFEST).read_text(encoding="utf-8"))
     assert '"/' not in json.dumps(manifest), "an absolute path"
     assert manifest["overrides"] == []
-    assert manifest["command"] == "python -m lab.recipe lab/recipes/skills"
+    recipe = "rough" if folder.name.startswith("rough_") else "skills"
+    assert manifest["command"] == f"python -m lab.recipe lab/recipes/{recipe}"
 
 
 @pytest.mark.parametrize("name", ["getup", "getup_g1", "hind_legs"])
@@ -112,3 +114,19 @@ def test_humanoids_walk_as_drawn_in_mujoco(robot):
     for name in (alone, "tracking"):
         found = on_motions.measure_checkpoint(model(name), [robot], ["walk"], episodes=3, threads=1)
         assert found[robot]["walk"].followed == 1.0, name
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_humanoids_climb_stairs_of_fifteen_centimetres(name, monkeypatch):
+    """Level 5 alone: steps of 14 to 16 cm, up and down, and the other types of tile."""
+    monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "rough"))
+    terrain = ("num_rows=1", "num_cols=20", "max_init_terrain_level=0", "difficulty_range=[0.5, 0.6]", "seed=77")
+    overrides = [f"scene.terrain.{change}" for change in terrain]
+    found = evaluate_checkpoint(model(name), num_envs=160, seed=1, threads=2, overrides=overrides)
+    (result,) = found.robots.values()
+    assert result.success_rate >= 0.9
+    share = {kind: tile.success for kind, (tile,) in result.terrain.items()}
+    assert len(share) == 6
+    assert share.pop("pyramid_stairs") >= 0.85
+    assert share.pop("pyramid_stairs_inv") >= 0.85
+    assert min(share.values()) >= 0.95

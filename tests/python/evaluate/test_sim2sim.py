@@ -9,7 +9,7 @@ import torch
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
+from common import FLAT_POLICY, LEGGED_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
 from polypod import sim2sim
 from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, walking
@@ -271,6 +271,18 @@ def test_it_climbs_in_both_simulators():
     robot = found.robots["unitree_go1"]
     assert robot.mujoco.fall_rate == 0.0
     assert abs(robot.mujoco.error_vel_xy - robot.polypod.error_vel_xy) < CLOSE
+
+
+def test_soles_stand_on_level_heights_as_on_a_plane():
+    """A height field is a prism per triangle, and a sole touches fifty of them."""
+    slope = "slope_range=[0.0, 0.0], platform_width=2.0, border_width=0.25"
+    tile = f'{{name="level", type="hf_pyramid_slope", proportion=1.0, {slope}}}'
+    terrain = f"scene.terrain={{size=[8.0, 8.0], num_rows=1, num_cols=1, border_width=4.0, sub_terrains=[{tile}]}}"
+    options = sim2sim.Options(envs_per_robot=2, steps=120, overrides=(terrain, "scene.grid_cell=0.025"))
+    robot = sim2sim.compare(LEGGED_POLICY, ["booster_t1"], options).robots["booster_t1"]
+    assert robot.mujoco.fall_rate == 0.0
+    assert abs(robot.mujoco.error_vel_xy - robot.polypod.error_vel_xy) < CLOSE
+    assert abs(robot.mujoco.error_vel_yaw - robot.polypod.error_vel_yaw) < CLOSE
 
 
 def test_a_robot_that_slips_does_not_transfer(capsys):
