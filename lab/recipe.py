@@ -31,7 +31,7 @@ GRACE = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A training."""
+    """A training. In a plan, `like = "NAME"` takes over what it does not say from an earlier stage."""
 
     name: str
     config: str
@@ -43,7 +43,7 @@ class Stage:
     """None: the config's."""
     seed: int = 1
     init: str | None = None
-    """A stage, or a bundled policy, whose networks it begins with."""
+    """A stage, or a bundled policy, whose networks it begins with; empty: from scratch."""
     teachers: Mapping[str, str] = field(default_factory=dict)
     """Stages or bundled policies by robots (as above, with commas between), of a distillation."""
     shares: Mapping[str, float] = field(default_factory=dict)
@@ -52,6 +52,8 @@ class Stage:
     """As after `--set`."""
     workers: int = 1
     """Processes with a GPU each."""
+    without: tuple[str, ...] = ()
+    """Robots that are left out, also as drafts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +90,21 @@ def read(folder: Path) -> Recipe:
         plan = tomllib.load(file)
     bodies = tuple(tuple(arguments) for arguments in plan.get("bodies", []))
 
-    def stage(table: dict[str, Any]) -> Stage:
-        return Stage(**{**table, "robots": tuple(table["robots"]), "changes": tuple(table.get("changes", ()))})
+    tables: dict[str, dict[str, Any]] = {}
+    for table in plan["stages"]:
+        like = tables[table["like"]] if "like" in table else {}
+        tables[table["name"]] = {**like, **{key: value for key, value in table.items() if key != "like"}}
 
-    stages = tuple(stage(table) for table in plan["stages"])
+    def stage(table: dict[str, Any]) -> Stage:
+        lists = {key: tuple(table.get(key, ())) for key in ("robots", "without", "changes")}
+        return Stage(**{**table, **lists})
+
     return Recipe(
-        folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies, drafts=tuple(plan.get("drafts", ()))
+        folder=folder,
+        stages=tuple(stage(table) for table in tables.values()),
+        groups=plan.get("groups", {}),
+        bodies=bodies,
+        drafts=tuple(plan.get("drafts", ())),
     )
 
 
@@ -102,29 +113,34 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
     config = recipe.folder / stage.config
     made = {other.name for other in recipe.stages}
 
+    left_out = {*stage.without, *(f"drafted_{robot}" for robot in stage.without)}
+
     def model(name: str) -> str:
         return str(out / name / "model.pt") if name in made else name
+
+    def robots(names: Sequence[str]) -> list[str]:
+        return [robot for robot in recipe.robots(names, out) if robot not in left_out]
 
     start = [sys.executable, "-m", "polypod"]
     if stage.workers > 1:
         start = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={stage.workers}"]
         start += ["-m", "polypod"]
     words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
-    words += ["--robots", ",".join(recipe.robots(stage.robots, out)), "--seed", str(stage.seed), "--logger", "none"]
+    words += ["--robots", ",".join(robots(stage.robots)), "--seed", str(stage.seed), "--logger", "none"]
     words += ["--log-dir", str(out / "runs" / stage.name)]
     if threads is not None:
         words += ["--threads", str(threads)]
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
-    if stage.init is not None:
+    if stage.init:
         words += ["--init", model(stage.init)]
     for change in stage.changes:
         words += ["--set", change]
     for names, teacher in stage.teachers.items():
-        for robot in recipe.robots(names.split(","), out):
+        for robot in robots(names.split(",")):
             words += ["--set", f'train.distillation.teachers.{robot}="{model(teacher)}"']
     for names, share in stage.shares.items():
-        for robot in recipe.robots(names.split(","), out):
+        for robot in robots(names.split(",")):
             words += ["--set", f"env_shares.{robot}={share}"]
     return words
 
