@@ -68,15 +68,16 @@ class Recipe:
     drafts: tuple[str, ...] = ()
     """Robots of the library that `polypod robot new` drafts from their URDF."""
 
-    def robots(self, names: Sequence[str], out: Path) -> list[str]:
-        """Robots that names and groups stand for."""
+    def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
+        """Robots that names and groups stand for, except some and their drafts."""
         found: list[str] = []
         for name in names:
             if name.startswith("@drawn."):
                 found += sorted(path.stem for path in (bodies_folder(out, name[7:]) / "configs/robots").glob("*.toml"))
             else:
                 found += self.groups[name[1:]] if name.startswith("@") else [name]
-        return found
+        left_out = {*without, *(f"drafted_{robot}" for robot in without)}
+        return [robot for robot in found if robot not in left_out]
 
 
 def bodies_folder(out: Path, number: int | str) -> Path:
@@ -113,13 +114,11 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
     config = recipe.folder / stage.config
     made = {other.name for other in recipe.stages}
 
-    left_out = {*stage.without, *(f"drafted_{robot}" for robot in stage.without)}
-
     def model(name: str) -> str:
         return str(out / name / "model.pt") if name in made else name
 
     def robots(names: Sequence[str]) -> list[str]:
-        return [robot for robot in recipe.robots(names, out) if robot not in left_out]
+        return recipe.robots(names, out, without=stage.without)
 
     start = [sys.executable, "-m", "polypod"]
     if stage.workers > 1:
