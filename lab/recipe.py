@@ -31,7 +31,10 @@ GRACE = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A training. In a plan, `like = "NAME"` takes over what it does not say from an earlier stage."""
+    """A training.
+
+    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say.
+    """
 
     name: str
     config: str

@@ -124,7 +124,9 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
 
 
 def test_a_stage_resembles_an_earlier_one_and_leaves_robots_out(tmp_path):
-    text = PLAN + """
+    text = (
+        PLAN
+        + """
 [[stages]]
 name = "left_out"
 like = "student"
@@ -132,6 +134,7 @@ iterations = 2
 without = ["solo12"]
 robots = ["@dogs", "drafted_solo12", "spot"]
 """
+    )
     (tmp_path / "plan.toml").write_text(text)
     plan = recipe.read(tmp_path)
     _, student, left_out = plan.stages
