@@ -18,7 +18,7 @@ from polypod.runs import config
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """
-bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped", "--prefix", "d"]]
+bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped,quadruped_arm", "--prefix", "d"]]
 [groups]
 dogs = ["solo12"]
 [[stages]]
@@ -64,7 +64,7 @@ def made(tmp_path_factory) -> tuple[Path, Path]:
 def test_stages_leave_models_and_are_not_trained_again(made):
     folder, out = made
     manifest = json.loads((out / "student" / "manifest.json").read_text())
-    assert manifest["robots"] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert manifest["robots"] == ["solo12", "d_quadruped_0", "d_quadruped_arm_1"]
     assert manifest["overrides"] == ["sim.episode_length_s=0.4", "env_shares.solo12=3"]
     assert manifest["train_config"]["distillation"]["teachers"]["solo12"] == str(out / "teacher" / "model.pt")
     assert manifest["train_config"]["distillation"]["teachers"]["*"] == str(bundled.checkpoint("quadruped"))
@@ -81,8 +81,12 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     (model,) = (tmp_path / "policy").glob("model_*.pt")
     manifest = json.loads((tmp_path / "policy" / "manifest.json").read_text())
     assert manifest["robots"] == ["solo12"]
-    assert [body["name"] for body in manifest["trained_bodies"]] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert [body["name"] for body in manifest["trained_bodies"]] == ["solo12", "d_quadruped_0", "d_quadruped_arm_1"]
     assert str(out) not in json.dumps(manifest)
+    # an arm that was drawn has slots that no robot of the library has
+    assert not [slot for slot in manifest["canonical_joint_names"] if slot.startswith("ARM_")]
+    columns = [joint["column"] for joint in manifest["joint_maps"]["solo12"]]
+    assert columns == manifest["robot_info"]["solo12"]["columns"] == list(range(12))
     found = evaluate_checkpoint(model, ["solo12", "unitree_h1"], num_envs=2, steps=3, threads=1)
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
 
