@@ -164,7 +164,10 @@ def draw(recipe: Recipe, out: Path) -> None:
     for robot in recipe.drafts:
         if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
             config.parent.mkdir(parents=True, exist_ok=True)
-            words = [sys.executable, "-m", "polypod", "robot", "new", str(LIBRARY / robot / "robot.urdf")]
+            # a config names its URDF by the way to it, which must be there on another machine
+            own = out / "drafts" / "assets" / "robots" / robot
+            shutil.copytree(LIBRARY / robot, own, dirs_exist_ok=True)
+            words = [sys.executable, "-m", "polypod", "robot", "new", str(own / "robot.urdf")]
             words += ["--name", config.stem, "--out", str(config)]
             subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 
