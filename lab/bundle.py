@@ -16,7 +16,9 @@ import torch
 
 from polypod import _core
 from polypod.observation import terms_of
+from polypod.policy import with_slots
 from polypod.runs import run_dir
+from polypod.runs.schema import URMA
 
 KEPT = ("actor_state_dict", "critic_state_dict")
 
@@ -35,6 +37,8 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
     known = {entry["name"] for entry in _core.robots()}
     robots = [robot for robot in manifest["robots"] if robot in known]
     sim = _core.VecSim(task, len(robots), robots=robots, threads=1)
+    if manifest["policy"]["class_name"] == URMA:
+        manifest = _with_slots_of(sim, manifest)
     seen = [(term.term, term.size) for term in terms_of(sim)]
     if seen != (trained := [(entry["term"], entry["size"]) for entry in manifest["observation_layout"]]):
         raise ValueError(f"{task} shows {seen}, and the policy was trained on {trained}")
@@ -54,6 +58,28 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
         "robot_info": {robot: manifest["robot_info"][robot] for robot in robots},
         "train_config": config,
     }
+
+
+def _with_slots_of(sim: _core.VecSim, manifest: dict[str, Any]) -> dict[str, Any]:
+    """The manifest of a network of joints without the slots that drawn robots alone have."""
+    slots, trained = list(sim.canonical_joint_names), manifest["canonical_joint_names"]
+    known = [(term.term, term.size) for term in terms_of(_sim_with(sim, trained))]
+    if known != [(entry["term"], entry["size"]) for entry in manifest["observation_layout"]]:
+        return manifest
+    maps = {
+        robot: [{**joint, "column": slots.index(joint["slot"])} for joint in manifest["joint_maps"][robot]]
+        for robot in sim.robots
+    }
+    infos = {
+        robot: {**info, "columns": [slots.index(slot) for slot in info["slots"]]}
+        for robot in sim.robots
+        for info in [manifest["robot_info"][robot]]
+    }
+    return {**with_slots(manifest, sim), "joint_maps": maps, "robot_info": infos}
+
+
+def _sim_with(sim: _core.VecSim, slots: list[str]) -> _core.VecSim:
+    return _core.VecSim(sim.task_name, len(sim.robots), robots=sim.robots, threads=1, slots=slots)
 
 
 def main() -> None:

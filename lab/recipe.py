@@ -31,7 +31,10 @@ GRACE = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A training."""
+    """A training.
+
+    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say.
+    """
 
     name: str
     config: str
@@ -43,7 +46,7 @@ class Stage:
     """None: the config's."""
     seed: int = 1
     init: str | None = None
-    """A stage, or a bundled policy, whose networks it begins with."""
+    """A stage, or a bundled policy, whose networks it begins with; empty: from scratch."""
     teachers: Mapping[str, str] = field(default_factory=dict)
     """Stages or bundled policies by robots (as above, with commas between), of a distillation."""
     shares: Mapping[str, float] = field(default_factory=dict)
@@ -52,6 +55,8 @@ class Stage:
     """As after `--set`."""
     workers: int = 1
     """Processes with a GPU each."""
+    without: tuple[str, ...] = ()
+    """Robots that are left out, also as drafts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,15 +71,16 @@ class Recipe:
     drafts: tuple[str, ...] = ()
     """Robots of the library that `polypod robot new` drafts from their URDF."""
 
-    def robots(self, names: Sequence[str], out: Path) -> list[str]:
-        """Robots that names and groups stand for."""
+    def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
+        """Robots that names and groups stand for, except some and their drafts."""
         found: list[str] = []
         for name in names:
             if name.startswith("@drawn."):
                 found += sorted(path.stem for path in (bodies_folder(out, name[7:]) / "configs/robots").glob("*.toml"))
             else:
                 found += self.groups[name[1:]] if name.startswith("@") else [name]
-        return found
+        left_out = {*without, *(f"drafted_{robot}" for robot in without)}
+        return [robot for robot in found if robot not in left_out]
 
 
 def bodies_folder(out: Path, number: int | str) -> Path:
@@ -88,12 +94,21 @@ def read(folder: Path) -> Recipe:
         plan = tomllib.load(file)
     bodies = tuple(tuple(arguments) for arguments in plan.get("bodies", []))
 
-    def stage(table: dict[str, Any]) -> Stage:
-        return Stage(**{**table, "robots": tuple(table["robots"]), "changes": tuple(table.get("changes", ()))})
+    tables: dict[str, dict[str, Any]] = {}
+    for table in plan["stages"]:
+        like = tables[table["like"]] if "like" in table else {}
+        tables[table["name"]] = {**like, **{key: value for key, value in table.items() if key != "like"}}
 
-    stages = tuple(stage(table) for table in plan["stages"])
+    def stage(table: dict[str, Any]) -> Stage:
+        lists = {key: tuple(table.get(key, ())) for key in ("robots", "without", "changes")}
+        return Stage(**{**table, **lists})
+
     return Recipe(
-        folder=folder, stages=stages, groups=plan.get("groups", {}), bodies=bodies, drafts=tuple(plan.get("drafts", ()))
+        folder=folder,
+        stages=tuple(stage(table) for table in tables.values()),
+        groups=plan.get("groups", {}),
+        bodies=bodies,
+        drafts=tuple(plan.get("drafts", ())),
     )
 
 
@@ -105,26 +120,29 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
     def model(name: str) -> str:
         return str(out / name / "model.pt") if name in made else name
 
+    def robots(names: Sequence[str]) -> list[str]:
+        return recipe.robots(names, out, without=stage.without)
+
     start = [sys.executable, "-m", "polypod"]
     if stage.workers > 1:
         start = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={stage.workers}"]
         start += ["-m", "polypod"]
     words = [*start, "train", "--train-config", str(config) if config.is_file() else stage.config]
-    words += ["--robots", ",".join(recipe.robots(stage.robots, out)), "--seed", str(stage.seed), "--logger", "none"]
+    words += ["--robots", ",".join(robots(stage.robots)), "--seed", str(stage.seed), "--logger", "none"]
     words += ["--log-dir", str(out / "runs" / stage.name)]
     if threads is not None:
         words += ["--threads", str(threads)]
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
-    if stage.init is not None:
+    if stage.init:
         words += ["--init", model(stage.init)]
     for change in stage.changes:
         words += ["--set", change]
     for names, teacher in stage.teachers.items():
-        for robot in recipe.robots(names.split(","), out):
+        for robot in robots(names.split(",")):
             words += ["--set", f'train.distillation.teachers.{robot}="{model(teacher)}"']
     for names, share in stage.shares.items():
-        for robot in recipe.robots(names.split(","), out):
+        for robot in robots(names.split(",")):
             words += ["--set", f"env_shares.{robot}={share}"]
     return words
 
@@ -146,7 +164,10 @@ def draw(recipe: Recipe, out: Path) -> None:
     for robot in recipe.drafts:
         if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
             config.parent.mkdir(parents=True, exist_ok=True)
-            words = [sys.executable, "-m", "polypod", "robot", "new", str(LIBRARY / robot / "robot.urdf")]
+            # a config names its URDF by the way to it, which must be there on another machine
+            own = out / "drafts" / "assets" / "robots" / robot
+            shutil.copytree(LIBRARY / robot, own, dirs_exist_ok=True)
+            words = [sys.executable, "-m", "polypod", "robot", "new", str(own / "robot.urdf")]
             words += ["--name", config.stem, "--out", str(config)]
             subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 

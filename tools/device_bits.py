@@ -29,10 +29,8 @@ import ptx
 
 DECIMATION = 4
 """Physics steps of a control step in the reference."""
-THREADS = 32
-"""Threads of a block of the kernel."""
-TILE = 32
-"""Robots of a tile."""
+WARP = 32
+"""Threads of a warp, which are a block of the kernel."""
 LISTED_SIZE = 4
 """Numbers of a listed contact: its number and its impulse."""
 SCENES = ("plane", "rough", "slope", "stand", "move")
@@ -173,9 +171,14 @@ class Arguments(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_uint64) for name in ("integers", "numbers", "parameters", "drive", "state")),
-        *((name, ctypes.c_uint64) for name in ("report", "grid", "work", "work_integers")),
-        *((name, ctypes.c_int) for name in ("robots", "shared", "capacity", "first", "end")),
+        *((name, ctypes.c_uint64) for name in ("report", "host", "grid", "work", "work_integers")),
+        *((name, ctypes.c_int) for name in ("robots", "shared", "capacity", "first", "end", "warp")),
     ]
+
+
+def threads_of_robot() -> int:
+    """Threads that step a robot together, as `crates/cuda/device/tables.h` says."""
+    return ptx.constant("THREADS_OF_FEW")
 
 
 class Robots:
@@ -207,41 +210,36 @@ class Robots:
             setattr(self.arguments, name, pointer.value)
 
     def tiles(self, array: np.ndarray) -> np.ndarray:
-        """Tiles of all copies: `[tile][number][robot of the tile]`."""
+        """Rows, or tiles of parameters, of all copies."""
         return np.tile(array, self.copies)
 
     def restart(self) -> None:
         """Gives the robots their first states again."""
         self.device.upload(self.pointers["state"], self.tiles(self.arrays["state"]))
 
-    def step(
-        self,
-        kernel: Kernel,
-        step: int,
-        substeps: Iterable[tuple[int, int]] = ((0, DECIMATION),),
-        threads: int = THREADS,
-        stream: ctypes.c_void_p | None = None,
-    ) -> None:
-        """Makes a control step, in one launch or several."""
+    def part(self, step: int, substeps: tuple[int, int], warp: int) -> Arguments:
+        """Arguments of a control step or a part of it; `warp` is the first of the block's warps."""
         self.arguments.drive = self.drives[step // self.steps_of_drive].value
-        for first, end in substeps:
-            self.arguments.first, self.arguments.end = first, end
-            pointers = (ctypes.c_void_p * 1)(ctypes.addressof(self.arguments))
-            blocks = -(-self.robots // threads)
-            shared = ctypes.c_uint(0)
-            self.device.call(
-                "cuLaunchKernel", kernel.function, blocks, 1, 1, threads, 1, 1, shared, stream, pointers, None
-            )
+        (self.arguments.first, self.arguments.end), self.arguments.warp = substeps, warp
+        return self.arguments
+
+    def step(self, kernel: Kernel, step: int, substeps: Iterable[tuple[int, int]] = ((0, DECIMATION),)) -> None:
+        """Makes a control step, in one launch or several."""
+        for part in substeps:
+            launch = Launch(self.device, [self], step, part)
+            launch.run(kernel)
+            self.device.wait()
+            launch.free()
 
     def read(self, name: str) -> np.ndarray:
-        """Tiles of the device, as integers, without numbers behind the ends of lists."""
+        """Rows of the device, as integers, without numbers behind the ends of lists."""
         words = same_nan(self.device.download(self.pointers[name], self.sizes[name] * self.robots))
         if name == "state":
-            tiles = words.reshape(-1, self.sizes[name], TILE)
+            rows = words.reshape(-1, self.sizes[name])
             length = self.sizes[name] - 1 - LISTED_SIZE * self.capacity
-            counts, listed = tiles[:, length, :].view(np.float32), tiles[:, length + 1 :, :]
+            counts, listed = rows[:, length].view(np.float32), rows[:, length + 1 :]
             entries = np.arange(LISTED_SIZE * self.capacity) // LISTED_SIZE
-            listed[entries[None, :, None] >= counts[:, None, :]] = 0
+            listed[entries[None, :] >= counts[:, None]] = 0
         return words
 
     def differing(self) -> dict[str, int]:
@@ -258,6 +256,28 @@ class Robots:
             self.device.call("cuMemFree_v2", pointer)
 
 
+class Launch:
+    """One launch for all robots of some blocks."""
+
+    def __init__(self, device: Device, blocks: list[Robots], step: int, substeps: tuple[int, int]) -> None:
+        """Places the arguments on the device."""
+        self.device, self.count, self.warps, raw = device, ctypes.c_int(len(blocks)), 0, b""
+        for robots in blocks:
+            raw += bytes(robots.part(step, substeps, self.warps))
+            self.warps += -(-robots.robots * threads_of_robot() // WARP)
+        self.blocks = device.place(np.frombuffer(raw, np.int32))
+
+    def run(self, kernel: Kernel) -> None:
+        """Begins the step."""
+        pointers = (ctypes.c_void_p * 2)(ctypes.addressof(self.blocks), ctypes.addressof(self.count))
+        shared = ctypes.c_uint(0)
+        self.device.call("cuLaunchKernel", kernel.function, self.warps, 1, 1, WARP, 1, 1, shared, None, pointers, None)
+
+    def free(self) -> None:
+        """Gives the memory back."""
+        self.device.call("cuMemFree_v2", self.blocks)
+
+
 def compare(device: Device, kernel: Kernel, name: str, arrays: Arrays) -> str:
     """Steps a block and compares it after each control step. Returns what differs first, or ''."""
     robots = Robots(device, arrays)
@@ -272,7 +292,7 @@ def compare(device: Device, kernel: Kernel, name: str, arrays: Arrays) -> str:
                 problem = problem or f"{part} differs after control step {step}"
     differing = {part: count for part, count in robots.differing().items() if count}
     if differing and not problem:
-        problem = "checksums agree, and the last tiles do not"
+        problem = "checksums agree, and the last rows do not"
     robots.free()
     return f"{name}: {problem}, at the end {differing}" if problem else ""
 
@@ -295,24 +315,23 @@ def compare_all(device: Device, kernel: Kernel, blocks: dict[str, Arrays]) -> li
     return problems
 
 
-def measure(device: Device, kernel: Kernel, all_robots: list[Robots], threads: int) -> float:
-    """Physics steps/s of blocks that step at the same time, each on a stream."""
-    streams = [device.stream() for _ in all_robots]
-    steps = min(robots.steps for robots in all_robots)
-    warm = steps // 4
+def measure(device: Device, kernel: Kernel, all_robots: list[Robots]) -> float:
+    """Physics steps/s of blocks that step in one launch: the median of the control steps."""
+    steps, of_drive = min(robots.steps for robots in all_robots), all_robots[0].steps_of_drive
+    launches = [Launch(device, all_robots, step, (0, DECIMATION)) for step in range(0, steps, of_drive)]
     for robots in all_robots:
         robots.restart()
     device.wait()
-    begun = 0.0
+    seconds = []
     for step in range(steps):
-        if step == warm:
-            device.wait()
-            begun = time.perf_counter()
-        for robots, stream in zip(all_robots, streams, strict=True):
-            robots.step(kernel, step, threads=threads, stream=stream)
-    device.wait()
-    seconds = time.perf_counter() - begun
-    return sum(robots.robots for robots in all_robots) * (steps - warm) * DECIMATION / seconds
+        begun = time.perf_counter()
+        launches[step // of_drive].run(kernel)
+        device.wait()
+        seconds.append(time.perf_counter() - begun)
+    for launch in launches:
+        launch.free()
+    late = sorted(seconds[steps // 4 :])
+    return sum(robots.robots for robots in all_robots) * DECIMATION / late[len(late) // 2]
 
 
 def time_blocks(
@@ -329,13 +348,12 @@ def time_blocks(
         for robot, chosen, size in cases:
             copies = max(1, size // len(chosen) // int(blocks[chosen[0]]["sizes"][0]))
             all_robots = [Robots(device, blocks[name], copies) for name in chosen]
-            rates = {threads: measure(device, kernel, all_robots, threads) for threads in (32, 64, 128)}
+            rate = measure(device, kernel, all_robots)
             kept = not any(sum(robots.differing().values()) for robots in all_robots)
             good &= kept
             words = all_robots[0].words
-            row = " ".join(f"{threads}: {rate / 1e6:7.2f}" for threads, rate in rates.items())
             print(
-                f"{label:12} {scene:6} {robot:12} {size:6} robots, million physics steps/s by threads a block: {row}"
+                f"{label:12} {scene:6} {robot:12} {size:6} robots, million physics steps/s: {rate / 1e6:7.2f}"
                 f"  bits {'equal' if kept else 'DIFFER'}  words a robot {words}",
                 flush=True,
             )

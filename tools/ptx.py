@@ -95,6 +95,14 @@ def _read(size_of: "ctypes._FuncPointer", get: "ctypes._FuncPointer", program: c
     return buffer.value.decode()
 
 
+def constant(name: str) -> int:
+    """A number of the enumerations in `tables.h` that stands there as digits."""
+    found = re.search(rf"\b{name} = (\d+)", (DEVICE / "tables.h").read_text(encoding="utf-8"))
+    if found is None:
+        raise NvrtcError(f"crates/cuda/device/tables.h: {name} has no number")
+    return int(found[1])
+
+
 def operations(ptx: str) -> dict[str, int]:
     """Instructions with their suffixes, and how often each stands in the PTX."""
     found: dict[str, int] = {}

@@ -115,6 +115,25 @@ class Result:
     """Time of the whole command: drafting, training, measuring."""
     stopped_by: int | None = None
     """The signal that ended it."""
+    unfinished: Path | None = None
+    """Best checkpoint of a separate network that does not beat the policy yet."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Start:
+    """A robot, and the policy that it begins with."""
+
+    name: str
+    robot: str
+    """How to find the robot again, as in `Result`."""
+    nearest: list[str]
+    """The robot of the library whose description is most like it, where there is one."""
+    neighbours: list[str]
+    checkpoint: Path
+    changes: list[str]
+    """`key=value` pairs of the task."""
+    before: Mapping[str, Walking]
+    """Figures of the robot and of its neighbours."""
 
 
 def adapt(options: Options, reporter: Reporter | None = None) -> Result:
@@ -133,28 +152,11 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     given = Path(options.robot)
     run = run_dir.create(options.log_dir, EXPERIMENT, robot_name(given))
     try:
-        robot = _draft(options, run, reporter) if given.suffix == URDF else run_dir.source(options.robot)
-        checkpoint = options.checkpoint or _fitting_policy(robot)
-        run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
-        manifest = run_dir.read_manifest(checkpoint)
-        ((name, body),) = descriptions.describe([robot]).items()
-        training = descriptions.training_of(manifest, str(checkpoint))
-        if training is not None and name not in training.bodies:
-            reporter.message(f"{name}: its description is {training.distance(body)}")
-        library = {entry["name"] for entry in _core.robots()}
-        near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
-        neighbours = near[: options.neighbours]
-        changes = _changes(manifest, robot, name, near[:1], options.overrides)
-        before = _measured(checkpoint, [robot, *neighbours], changes, options)
-        other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
-        if other is not None and not walks(before[name]):
-            of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
-            with_other = _measured(other, [robot], of_other, options)
-            if walks(with_other[name]):
-                checkpoint, before = other, with_other
+        start = _start(options, run, reporter)
     except BaseException:
         shutil.rmtree(run, ignore_errors=True)
         raise
+    name, robot, checkpoint, before = start.name, start.robot, start.checkpoint, start.before
     wanted = [each for each in before if each == name or walks(before[each])]
     reporter.message(f"begins with {bundled.shown(checkpoint)}: {_verdict(before, wanted)}")
     if walks(before[name]):
@@ -169,34 +171,9 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         threads=options.threads,
     )
     is_separate = _is_separate(options, before[name])
-    of_run = session.Options(
-        init=None if is_separate else checkpoint,
-        seed=options.seed,
-        device=options.device,
-        threads=options.threads,
-        log_dir=options.log_dir,
-        run=run,
-        origin=options.command,
-    )
     if is_separate:
         reporter.message(f"{name}: a separate network begins from scratch")
-        train_config = _own_train_config(options)
-        changes = _changes({"task": train_config.run.task, "overrides": []}, robot, name, near[:1], options.overrides)
-    else:
-        # shares of the training alone, which no evaluation needs
-        shares = [f"env_shares.{name}={len(neighbours)}"] if len(neighbours) > 1 else []
-        has_critic = "critic_state_dict" in run_dir.load_checkpoint(checkpoint)
-        train_config = _train_config(options, manifest, shares, has_critic)
-        if "distillation" in manifest["train_config"]:
-            # it was taught with sensors better than the task's; later changes outweigh this one
-            changes = [NO_NOISE, *changes]
-    plan = session.settle(
-        of_run,
-        train_config,
-        changes,
-        robots=[robot, *neighbours],
-        slots=[] if is_separate or manifest["policy"]["class_name"] == URMA else manifest["canonical_joint_names"],
-    )
+    of_run, plan = _plan(options, start, run, is_separate)
     _, runner = session.train_with(of_run, Workers.alone(), goal=goal, plan=plan, reporter=reporter)
     runner.env.unwrapped.close()
     stopped_by = None if runner.stopped_by is None else int(runner.stopped_by)
@@ -204,9 +181,10 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     if goal.best is None:
         # interrupted before the first measurement
         return Result(name, robot, last, before, {}, False, [], _minutes(began), stopped_by)
-    best, after = goal.best.checkpoint, goal.best.robots
+    best, after, unfinished = goal.best.checkpoint, goal.best.robots, None
     if rank(after, wanted) <= rank(before, wanted):
         # a policy that no measurement beats stays what it was
+        unfinished = best if is_separate else None
         best, after = checkpoint, before
     elif goal.walked and goal.confirmation is not None:
         after = goal.confirmation
@@ -214,7 +192,65 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         after = _measured(best, None, [], options)
     if goal.best.checkpoint != last:
         run_dir.remove_checkpoint(last)
-    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by)
+    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by, unfinished)
+
+
+def _start(options: Options, run: Path, reporter: Reporter) -> Start:
+    """Drafts the robot where it is a URDF, and chooses and measures the policy to begin with."""
+    is_urdf = Path(options.robot).suffix == URDF
+    robot = _draft(options, run, reporter) if is_urdf else run_dir.source(options.robot)
+    checkpoint = options.checkpoint or _fitting_policy(robot)
+    run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
+    manifest = run_dir.read_manifest(checkpoint)
+    ((name, body),) = descriptions.describe([robot]).items()
+    training = descriptions.training_of(manifest, str(checkpoint))
+    if training is not None and name not in training.bodies:
+        reporter.message(f"{name}: its description is {training.distance(body)}")
+    library = {entry["name"] for entry in _core.robots()}
+    near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
+    neighbours = near[: options.neighbours]
+    changes = _changes(manifest, robot, name, near[:1], options.overrides)
+    before = _measured(checkpoint, [robot, *neighbours], changes, options)
+    other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
+    if other is not None and not walks(before[name]):
+        of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
+        with_other = _measured(other, [robot], of_other, options)
+        if walks(with_other[name]):
+            checkpoint, before = other, with_other
+    return Start(name, robot, near[:1], neighbours, checkpoint, changes, before)
+
+
+def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple[session.Options, session.Plan]:
+    """The training of the policy, or of a separate network."""
+    of_run = session.Options(
+        init=None if is_separate else start.checkpoint,
+        seed=options.seed,
+        device=options.device,
+        threads=options.threads,
+        log_dir=options.log_dir,
+        run=run,
+        origin=options.command,
+    )
+    slots: list[str] = []
+    if is_separate:
+        train_config = _own_train_config(options)
+        task = {"task": train_config.run.task, "overrides": []}
+        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides)
+    else:
+        manifest = run_dir.read_manifest(start.checkpoint)
+        # shares of the training alone, which no evaluation needs
+        count = len(start.neighbours)
+        shares = [f"env_shares.{start.name}={count}"] if count > 1 else []
+        has_critic = "critic_state_dict" in run_dir.load_checkpoint(start.checkpoint)
+        train_config = _train_config(options, manifest, shares, has_critic)
+        # a policy that was taught had sensors better than the task's; later changes outweigh this
+        # one
+        is_taught = "distillation" in manifest["train_config"]
+        changes = [NO_NOISE, *start.changes] if is_taught else start.changes
+        if manifest["policy"]["class_name"] != URMA:
+            slots = manifest["canonical_joint_names"]
+    robots = [start.robot, *start.neighbours]
+    return of_run, session.settle(of_run, train_config, changes, robots=robots, slots=slots)
 
 
 def _draft(options: Options, run: Path, reporter: Reporter) -> str:
@@ -356,9 +392,16 @@ def verdict(result: Result) -> str:
     reasons = {name: "; ".join(why_not(walking)) for name, walking in result.after.items()}
     why = "; ".join(f"{name}: {reason}" for name, reason in reasons.items() if reason)
     end = "interrupted" if result.stopped_by is not None else "it does not walk"
+    if result.unfinished is None:
+        next_step = f"go on with  polypod adapt {result.robot} --checkpoint {shown}"
+    else:
+        next_step = (
+            "the separate network does not beat it yet; go on with  "
+            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {SEPARATE}"
+        )
     return (
         f"{result.name}: {end} after {spent}; {why or 'it walks with one of two seeds'}. The best policy is {shown}; "
-        f"go on with  polypod adapt {result.robot} --checkpoint {shown}"
+        f"{next_step}"
     )
 
 

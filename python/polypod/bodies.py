@@ -21,8 +21,10 @@ from polypod import _core, bodies_on_two_legs
 from polypod.body_parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform
 from polypod.files import new_folder, write_text
 
-KINDS = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
+BY_DEFAULT = ("quadruped", "quadruped8", "biped", "humanoid", "hexapod")
 """Four legs of three joints or of two, two legs, two legs with arms, six legs."""
+KINDS = (*BY_DEFAULT, "quadruped_arm")
+"""All kinds: also four legs of three joints with an arm on the base."""
 TASK = "velocity_flat_generated"
 GRAVITY = _core.EARTH_GRAVITY
 """Gravity, m/s^2."""
@@ -42,6 +44,7 @@ def draw(kind: str, name: str, rng: np.random.Generator, wide: bool = False) -> 
         "biped": lambda: on_two_legs(name, rng, arms=False),
         "humanoid": lambda: on_two_legs(name, rng, arms=True),
         "hexapod": lambda: _hexapod(name, rng),
+        "quadruped_arm": lambda: _with_arm(_quadruped(name, rng, abduction=True, wide=wide), rng),
     }
     if kind not in makers:
         raise _core.ConfigError(f"there is no kind of body `{kind}`; known: {', '.join(KINDS)}")
@@ -52,7 +55,7 @@ def generate(
     out: Path,
     count: int,
     seed: int = 0,
-    kinds: Sequence[str] = KINDS,
+    kinds: Sequence[str] = BY_DEFAULT,
     prefix: str = "body",
     force: bool = False,
     *,
@@ -263,6 +266,49 @@ def _quadruped(name: str, rng: np.random.Generator, abduction: bool, wide: bool)
     drives = {"legs": legs, "knees": _softer(legs, 1.0, rng.uniform(1.0, 1.6))}
     scale = rng.uniform(0.2, 0.5)
     return Body(name, kind, links, joints, feet, leg, "quadruped", drives, scale, choices.speed, choices.friction)
+
+
+_WRIST = (("ARM_YAW_2", "z"), ("ARM_PITCH_3", "y"), ("ARM_ROLL", "x"))
+
+
+def _with_arm(body: Body, rng: np.random.Generator) -> Body:
+    """Adds an arm of three to six joints, folded above the base, that weighs up to an eighth."""
+    leg, mass = body.leg_length, body.mass * rng.uniform(0.03, 0.13)
+    length, _, height = body.links[0].size
+    upper, fore = leg * rng.uniform(0.35, 0.7, 2)
+    wrists = int(rng.integers(0, 4))
+    shares = {"shoulder": 0.2, "upper_arm": 0.4, "forearm": 0.4 - 0.08 * wrists}
+    upright = float(rng.uniform(-1.4, 0.2))
+    bend = float(rng.uniform(0.8, 2.2))
+    aside = float(rng.choice([0.0, rng.uniform(-2.0, 2.0)]))
+    links = [
+        Link("arm_shoulder", shares["shoulder"] * mass, "sphere", (0.06 * leg,), (0.0, 0.0, 0.06 * leg)),
+        Link("arm_upper", shares["upper_arm"] * mass, "cylinder", (0.04 * leg, upper), (0.0, 0.0, upper / 2)),
+        Link("arm_fore", shares["forearm"] * mass, "cylinder", (0.035 * leg, fore), (0.0, 0.0, fore / 2)),
+    ]
+    at = (float(rng.uniform(-0.1, 0.45)) * length, 0.0, height / 2)
+    joints = [
+        Joint("ARM_YAW", "base", links[0].name, at, "z", -2.9, 2.9, "arm", aside),
+        Joint("ARM_PITCH", links[0].name, links[1].name, (0.0, 0.0, 0.12 * leg), "y", -2.2, 2.2, "arm", upright),
+        Joint("ARM_PITCH_2", links[1].name, links[2].name, (0.0, 0.0, upper), "y", -2.8, 2.8, "arm", bend),
+    ]
+    along = fore
+    for name, axis in _WRIST[:wrists]:
+        links.append(Link(name.lower(), 0.08 * mass, "sphere", (0.04 * leg,), (0.0, 0.0, 0.04 * leg)))
+        joints.append(Joint(name, links[-2].name, links[-1].name, (0.0, 0.0, along), axis, -2.5, 2.5, "wrist"))
+        along = 0.08 * leg
+    # stiff enough to hold it up
+    arm = Drive(
+        stiffness=log_uniform(rng, 0.15, 0.8),
+        effort=log_uniform(rng, 0.12, 0.5),
+        damping_time=log_uniform(rng, 1 / 60, 1 / 18),
+        armature=log_uniform(rng, 2e-5, 4e-4),
+        speed=log_uniform(rng, 0.05, 1.0),
+    )
+    drives = {**body.drives, "arm": arm, **({"wrist": _softer(arm, 0.4, 0.4)} if wrists else {})}
+    return dataclasses.replace(
+        body, kind="quadruped_arm", links=[*body.links, *links], joints=[*body.joints, *joints], drives=drives
+    )
 
 
 def _biped(name: str, rng: np.random.Generator, arms: bool) -> Body:
@@ -541,6 +587,7 @@ def _commands(body: Body) -> dict[str, tuple[float, float]]:
     ahead, back, aside = {
         "quadruped": (fast, fast, fast),
         "quadruped8": (fast, fast, 0.0),
+        "quadruped_arm": (fast, fast, fast),
         "biped": (fast, 0.5 * fast, 0.4 * fast),
         "humanoid": (fast, 0.5 * fast, 0.4 * fast),
         "hexapod": (0.6 * fast, 0.6 * fast, 0.4 * fast),

@@ -7,14 +7,17 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, bare_ends
 from polypod.compat import tomllib
 from polypod.files import real_path, write_text
 from polypod.vector_env import make
+
+Draft: TypeAlias = "_core.RobotDraft"
 
 TASK = "velocity_flat_play"
 TASK_OF_OTHERS = "velocity_flat_legged_play"
@@ -115,16 +118,22 @@ def new_robot(
     """
     if name is None and out is not None:
         name = out.stem
-    drafted = functools.partial(
+    folder = (urdf if out is None else out).parent
+    drafts_of = functools.partial(
         _core.draft_robot,
-        urdf,
         name=name,
-        urdf=urdf_key or _relative(urdf, (urdf if out is None else out).parent),
-        package_dirs={package: real_path(folder) for package, folder in (package_dirs or {}).items()},
+        package_dirs={package: real_path(place) for package, place in (package_dirs or {}).items()},
         feet=feet or {},
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
+    # a library's own copy of a URDF stays what the file says
+    boxes = None if urdf_key else bare_ends.boxed(urdf, folder, locked_joints or {}, package_dirs or {})
+    drafted: Callable[..., Draft]
+    if boxes is None:
+        drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or _relative(urdf, folder))
+    else:
+        drafted = _drafts_on(boxes, folder / f"{urdf.stem}_with_feet.urdf", drafts_of, out, force)
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
         factor = STIFFER**attempt
@@ -158,13 +167,33 @@ def new_robot(
         factor = 1.0
         draft = drafted(gain_factor=1.0)
         write_text(path, draft["toml"] if refine is None else refine(draft["toml"]))
-    return NewRobot(draft["name"], path, draft["notes"], standing, factor, draft["kind"], task_of(path) == TASK, needs)
+    notes = draft["notes"] if boxes is None else [*boxes.notes, *draft["notes"]]
+    return NewRobot(draft["name"], path, notes, standing, factor, draft["kind"], task_of(path) == TASK, needs)
 
 
 def robot_name(given: Path) -> str:
     """A name for the robot and its run, of letters that every file system takes."""
     name = "".join(letter if letter.isalnum() and letter.isascii() else "_" for letter in given.stem.lower())
     return name[:60] or "robot"
+
+
+def _drafts_on(
+    boxes: bare_ends.Copy, file: Path, drafts_of: Callable[..., Draft], out: Path | None, force: bool
+) -> Callable[..., Draft]:
+    """Writes the copy of a URDF, of which drafts are made; leaves none that has no draft."""
+    if file.exists() and not force:
+        raise _core.ConfigError(f"{file} is there already; pass --force to write over it, or choose another --out")
+    drafted = functools.partial(drafts_of, file, urdf=file.name)
+    try:
+        write_text(file, boxes.text)
+        name = drafted()["name"]
+        _check_place(file.with_name(f"{name}.toml") if out is None else out, name, force)
+    except OSError as error:
+        raise _core.ConfigError(f"cannot write {file}: {error.strerror}; choose another --out") from error
+    except (_core.RobotError, _core.ConfigError):
+        file.unlink()
+        raise
+    return drafted
 
 
 def _check_place(path: Path, name: str, force: bool) -> None:

@@ -4,11 +4,12 @@ use bevy_app::{App, Plugin, PluginGroup, PluginGroupBuilder, PreStartup};
 use bevy_ecs::prelude::*;
 use bevy_ecs::schedule::{InternedScheduleLabel, ScheduleLabel};
 
+use crate::batch::Batch;
 use crate::error::Error;
 use crate::options::{Autoreset, SimOptions};
 use crate::systems::{CompiledTask, PolypodPlugins};
 
-use super::stepping::{set_up, take_step};
+use super::stepping::{check_actions, set_up, take_step};
 
 /// The control step within a schedule of the host. Systems that write
 /// [`Batch::actions`](crate::batch::Batch::actions) come before it, those that read observations
@@ -94,5 +95,6 @@ fn step_in_host(world: &mut World) -> Result {
         let remedy = "run the app's Main schedule, in which PreStartup comes first, and mend the error of the set-up";
         return Err(Error::argument("the host app", "polypod is not set up", remedy).into());
     }
+    check_actions(world, &world.resource::<Batch>().actions)?;
     Ok(take_step(world)?)
 }

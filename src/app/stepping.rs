@@ -25,12 +25,11 @@ pub(super) fn set_up(world: &mut World, seed: u64) -> Result<(), Error> {
     reset(world, Some(seed), None)
 }
 
-/// One control step with the actions of the batch.
+/// One control step with the actions of the batch, which are checked.
 ///
 /// # Errors
-/// As [`check_actions`]; or a system failed.
+/// A system failed.
 pub(super) fn take_step(world: &mut World) -> Result<(), Error> {
-    check_actions(world, &world.resource::<Batch>().actions)?;
     world.resource_mut::<ResetRequest>().0 = false;
     run(world, ControlStep)
 }

@@ -42,7 +42,7 @@ FN void set_limits(Robot *a, int j, int row, int near, float inverse_dt) {
  * velocities without constraints are in W_RHS. */
 FN void build_joint_bounds(Robot *a) {
     float dt = TC(DT), inverse_dt = 1.0f / dt;
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+    SHARED_OUT(b, T(BLOCKS)) {
         int block = BLOCK_AT(b), len = L(block + 3), limits = 0, active = 0, bound = BOUND(b);
         for (int place = 0; place < BLOCK; place++) {
             int near = 0, friction = 0;
@@ -59,6 +59,8 @@ FN void build_joint_bounds(Robot *a) {
         BLOCK_LIMITS(b) = limits;
         BLOCK_ACTIVE(b) = active;
         if (!active) continue;
+        I(BOUND_INTEGER(b) + 8) = PATH_PARTS(BOUND_PATH(b));
+        I(BOUND_INTEGER(b) + 9) = PATH_FIRST(BOUND_PATH(b));
         for (int place = 0; place < BLOCK; place++) {
             int row = BOUND_ROW(b, place);
             if (place < len) {

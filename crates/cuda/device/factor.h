@@ -40,9 +40,8 @@ FN void set_empty_places(Robot *a, int b) {
 }
 
 /* The mass matrix's base block, from the composite inertia of the whole robot. */
-FN void set_base(Robot *a, int inertia_at) {
-    float x[10], *g = a->g;
-    w_load(a, inertia_at, 10, x);
+FN void set_base(Robot *a, const float *x) {
+    float *g = a->g;
     const float *h = x + 1, *i = x + 4;
     for (int k = 0; k < 36; k++) g[k] = 0.0f;
     set3(g, i[0], i[3], i[4]);
@@ -67,8 +66,9 @@ FN float split(float pivot, float *root) {
 /* Turns the mass matrix held in place into its factors. */
 FN void factorise(Robot *a) {
     float *g = a->g;
-    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
-        int block = BLOCK_AT(b), own = FACTOR(b), carriers = L(block + 4), first = L(block + 6);
+    TREES_OF(tree) INWARD(tree, place) {
+        int b = TREE_BLOCK(tree, place), block = BLOCK_AT(b), own = FACTOR(b);
+        int carriers = L(block + 4), first = L(block + 6);
         float d[3], m[3], root[6], base[18];
         w_load(a, own, 3, d);
         w_load(a, own + FACTOR_INNER, 3, m);
@@ -127,18 +127,22 @@ FN void factorise(Robot *a) {
             }
             w_store(a, COUPLING(first + p), 9, l);
         }
-        for (int r = 0; r < 6; r++) {
-            float x0 = base[r] * i0, x1 = base[6 + r] * i1, x2 = base[12 + r] * i2;
-            for (int c = r; c < 6; c++) {
-                float y = nfma(x0, base[c], g[6 * c + r]);
-                y = nfma(x1, base[6 + c], y);
-                g[6 * c + r] = nfma(x2, base[12 + c], y);
-            }
-            base[r] = x0;
-            base[6 + r] = x1;
-            base[12 + r] = x2;
-        }
+        w_store(a, own + FACTOR_RAW, 18, base);
+        for (int k = 0; k < 18; k++) base[k] = base[k] * inverse[k / 6];
         w_store(a, own + FACTOR_BASE, 18, base);
+    }
+    SYNC;
+    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
+        float base[18], x[18];
+        w_load(a, FACTOR(b) + FACTOR_RAW, 18, base);
+        w_load(a, FACTOR(b) + FACTOR_BASE, 18, x);
+        for (int r = 0; r < 6; r++) {
+            for (int c = r; c < 6; c++) {
+                float y = nfma(x[r], base[c], g[6 * c + r]);
+                y = nfma(x[6 + r], base[6 + c], y);
+                g[6 * c + r] = nfma(x[12 + r], base[12 + c], y);
+            }
+        }
     }
     for (int k = 0; k < 12; k++) a->root[k] = 0.0f;
     if (!T(FLOATING)) return;
@@ -157,10 +161,11 @@ FN void base_forward(const Robot *a, float *b) {
         for (int r = k + 1; r < 6; r++) b[r] = nfma(a->g[6 * r + k], b[k], b[r]);
 }
 
-/* H^-T b: the half solve of a generalised force; `joints` are columns, [blocks]. */
+/* H^-T b: the half solve of a generalised force; `joints` are columns, [blocks], which are then to be
+ * multiplied by the inverse roots. */
 FN void half_solve_force(Robot *a, float *base, int joints) {
-    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
-        int block = BLOCK_AT(b), own = FACTOR(b), x = joints + 3 * b;
+    TREES_OF(tree) INWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), x = joints + 3 * b;
         float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
         float x2 = W(x + 2), x1 = nfma(l21, x2, W(x + 1)), x0 = nfma(l10, x1, nfma(l20, x2, W(x)));
         ROLLED for (int c = 0; c < L(block + 4); c++) {
@@ -170,22 +175,29 @@ FN void half_solve_force(Robot *a, float *base, int joints) {
                 W(on + t) = nfma(W(l + t), x0, nfma(W(l + 3 + t), x1, y));
             }
         }
-        for (int r = 0; r < 6; r++) {
-            float y = nfma(W(own + FACTOR_BASE + 12 + r), x2, base[r]);
-            base[r] = nfma(W(own + FACTOR_BASE + r), x0, nfma(W(own + FACTOR_BASE + 6 + r), x1, y));
-        }
-        W(x) = x0 * W(ROOT(b) + 1);
-        W(x + 1) = x1 * W(ROOT(b) + 3);
-        W(x + 2) = x2 * W(ROOT(b) + 5);
+        W(x) = x0;
+        W(x + 1) = x1;
+        W(x + 2) = x2;
     }
+    SYNC;
+    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
+        int on = FACTOR(b) + FACTOR_BASE;
+        float x[3];
+        w_load(a, joints + 3 * b, 3, x);
+        for (int r = 0; r < 6; r++) {
+            float y = nfma(W(on + 12 + r), x[2], base[r]);
+            base[r] = nfma(W(on + r), x[0], nfma(W(on + 6 + r), x[1], y));
+        }
+    }
+    SYNC;
     if (T(FLOATING)) base_forward(a, base);
     for (int r = 0; r < 6; r++) base[r] = base[r] * a->root[2 * r + 1];
 }
 
 /* H u: a velocity in the coordinates in which constraint rows are sparse. */
 FN void to_sparse(Robot *a, float *base, int joints) {
-    ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
-        int block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
+    TREES_OF(tree) INWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
         float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
         float x0 = W(at), x1 = W(at + 1), x2 = W(at + 2);
         float x[3] = {x0, fma_(l10, x0, x1), fma_(l21, x1, fma_(l20, x0, x2))};
@@ -211,8 +223,8 @@ FN void to_dense(Robot *a, float *base, int joints) {
     if (T(FLOATING))
         for (int k = 5; k >= 0; k--)
             for (int r = k + 1; r < 6; r++) base[k] = nfma(a->g[6 * r + k], base[r], base[k]);
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
-        int block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
         float x[3];
         for (int s = 0; s < BLOCK; s++) {
             x[s] = W(at + s) * W(ROOT(b) + 2 * s + 1);

@@ -40,9 +40,9 @@ FN void candidate_point(const Robot *a, int contact, const float *up, float *o) 
     add_scaled(o, e + 3, s1 * rim, o);
 }
 
-/* Torsional and rolling friction of the contact that was added last. */
-FN void add_spin(Robot *a, int contact, const float *frame) {
-    int i = a->num_spins, spin = SPIN(i), path = ROW_PATH(a->num_contacts - 1);
+/* Torsional and rolling friction of contact i. */
+FN void add_spin(Robot *a, int i, const float *frame) {
+    int spin = SPIN(i), path = ROW_PATH(i);
     float base[18], own[9], product[6], least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     for (int d = 0; d < 3; d++) {
         copy(base + 6 * d, frame + 3 * d, 3);
@@ -56,25 +56,17 @@ FN void add_spin(Robot *a, int contact, const float *frame) {
     float radius = sqrtf(fma_(difference, difference, product[5] * product[5]));
     w_store(a, spin + ROW_COUPLING, 3, product + 3);
     for (int d = 0; d < 3; d++) W(spin + ROW_INVERSE + d) = 1.0f / max_(product[d], least);
-    last_impulse(a, T(ROWS) + contact, spin + SPIN_IMPULSE);
+    last_impulse(a, T(ROWS) + ROW_CONTACT(i), spin + SPIN_IMPULSE);
     W(spin + SPIN_ROLL) = 1.0f / max_(fma_(product[1] + product[2], 0.5f, radius), least);
-    a->num_spins += 1;
 }
 
-/* Where a contact that was found is kept until its rows are built: in the memory of its rows. */
-enum Found { FOUND_POINT, FOUND_NORMAL = FOUND_POINT + 3, FOUND_GAP = FOUND_NORMAL + 3 };
+#define GROUND(link) (T(W_GROUND) + (link) * GROUND_SIZE)
 
-/* Finds the contacts near the ground. `free_base` is the velocity that the base would have without
- * constraints, in base axes about its origin; `frame` the axes of a level plane. Returns their
- * number. */
-FN int find_ground_contacts(Robot *a, const float *free_base, const float *frame) {
-    float margin = TC(GROUND_MARGIN), position[3];
-    int found = 0;
-    s_load(a, T(S_POSITION), 3, position);
-    float ground = dot(C(PLANE), position) - TC(PLANE_OFFSET);
-    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
-        int first = L(T(T_LINK_CONTACTS) + link), end = L(T(T_LINK_CONTACTS) + link + 1);
-        if (first == end) continue;
+/* Finds the links that are near the ground; `frame` holds the axes of a level plane. */
+FN void find_links_near_ground(Robot *a, const float *position, const float *frame) {
+    float margin = TC(GROUND_MARGIN), ground = dot(C(PLANE), position) - TC(PLANE_OFFSET);
+    SHARED_OUT(link, T(JOINTS) + 1) {
+        if (L(T(T_LINK_CONTACTS) + link) == L(T(T_LINK_CONTACTS) + link + 1)) continue;
         float r[9], x[3], box[6], up[3];
         w_load(a, LINK(link), 9, r);
         w_load(a, LINK(link) + LINK_POSITION, 3, x);
@@ -91,84 +83,105 @@ FN int find_ground_contacts(Robot *a, const float *free_base, const float *frame
             highest = margin + bound - TC(PLANE_OFFSET);
         }
         float below = fma_(box[3], fabsf(up[0]), fma_(box[4], fabsf(up[1]), box[5] * fabsf(up[2])));
-        if (!(origin_height + dot(up, box) - below < highest)) continue;
-        ROLLED for (int c = first; c < end; c++) {
-            float radius = P(T(P_CONTACT_RADIUS) + c), local[3], centre[3];
-            float reach = radius + P(T(P_CONTACT_RIM) + c);
-            p_load(a, T(P_CONTACT_POSITION) + 3 * c, 3, local);
-            if (!(origin_height + dot(up, local) - reach < highest)) continue;
-            candidate_point(a, c, up, local);
-            float gap = origin_height + dot(up, local) - radius;
-            if (!(gap < highest)) continue;
-            float surface[9];
-            const float *axes = frame;
-            mul_vec(r, local, centre);
-            add(x, centre, centre);
-            if (T(HAS_GRID)) {
-                float place[3];
-                world_place(frame, position, centre, place);
-                float bound = terrain_bound(a, 1, place[0], place[1], radius + margin);
-                if (!(gap < margin + bound - TC(PLANE_OFFSET))) continue;
-                gap = on_terrain(a, frame, place, radius, surface);
-                if (!(gap < margin)) continue;
-                axes = surface;
-            }
-            float motion[6], v[3], moving[6];
-            w_load(a, LINK(link) + LINK_VELOCITY, 6, motion);
-            /* link velocities leave the base's linear velocity out */
-            for (int k = 0; k < 6; k++) moving[k] = motion[k] + (k < 3 ? 0.0f : a->velocity_base[k]);
-            at_point(moving, centre, v);
-            float now = dot(axes, v);
-            w_load(a, LINK(link) + LINK_FREE, 6, motion);
-            for (int k = 0; k < 6; k++) moving[k] = motion[k] + free_base[k];
-            at_point(moving, centre, v);
-            float free = dot(axes, v);
-            if (!(gap < min_(reach_in_step(a, TC(GROUND_REACH), now, free), margin))) continue;
-            int row = ROW(found);
-            float point[3];
-            scale(axes, radius, point);
-            sub(centre, point, point);
-            ROW_CONTACT(found) = c;
-            ROW_PATH(found) = link;
-            ROW_PAIR(found) = -1;
-            w_store(a, row + FOUND_POINT, 3, point);
-            W(row + FOUND_GAP) = gap;
-            if (T(HAS_GRID)) w_store(a, row + ROW_FRAME, 9, axes);
-            found++;
-        }
+        int near = origin_height + dot(up, box) - below < highest;
+        I(T(I_PLACED) + link) = near;
+        if (!near) continue;
+        W(GROUND(link)) = origin_height;
+        w_store(a, GROUND(link) + GROUND_UP, 3, up);
+        W(GROUND(link) + GROUND_HIGHEST) = highest;
     }
-    return found;
+    SYNC;
 }
 
-/* Finds the contacts near the ground and builds their rows, after the search, in which the robots of
- * a warp find theirs at different times. */
+/* Finds the contacts near the ground. `free_base` is the velocity that the base would have without
+ * constraints, in base axes about its origin. */
+FN void find_ground_contacts(Robot *a, const float *free_base, const float *frame, List *list) {
+    float margin = TC(GROUND_MARGIN), position[3];
+    s_load(a, T(S_POSITION), 3, position);
+    find_links_near_ground(a, position, frame);
+    SHARED_OUT(c, T(CONTACTS)) {
+        int link = L(T(T_CONTACT) + c * CONTACT_SIZE);
+        if (!I(T(I_PLACED) + link)) continue;
+        float radius = P(T(P_CONTACT_RADIUS) + c), local[3], centre[3], up[3], r[9], x[3];
+        float reach = radius + P(T(P_CONTACT_RIM) + c);
+        float origin_height = W(GROUND(link)), highest = W(GROUND(link) + GROUND_HIGHEST);
+        w_load(a, GROUND(link) + GROUND_UP, 3, up);
+        p_load(a, T(P_CONTACT_POSITION) + 3 * c, 3, local);
+        if (!(origin_height + dot(up, local) - reach < highest)) continue;
+        candidate_point(a, c, up, local);
+        float gap = origin_height + dot(up, local) - radius;
+        if (!(gap < highest)) continue;
+        float surface[9];
+        const float *axes = frame;
+        w_load(a, LINK(link), 9, r);
+        w_load(a, LINK(link) + LINK_POSITION, 3, x);
+        mul_vec(r, local, centre);
+        add(x, centre, centre);
+        if (T(HAS_GRID)) {
+            float place[3];
+            world_place(frame, position, centre, place);
+            float bound = terrain_bound(a, 1, place[0], place[1], radius + margin);
+            if (!(gap < margin + bound - TC(PLANE_OFFSET))) continue;
+            gap = on_terrain(a, frame, place, radius, surface);
+            if (!(gap < margin)) continue;
+            axes = surface;
+        }
+        float motion[6], v[3], moving[6];
+        w_load(a, LINK(link) + LINK_VELOCITY, 6, motion);
+        /* link velocities leave the base's linear velocity out */
+        for (int k = 0; k < 6; k++) moving[k] = motion[k] + (k < 3 ? 0.0f : a->velocity_base[k]);
+        at_point(moving, centre, v);
+        float now = dot(axes, v);
+        w_load(a, LINK(link) + LINK_FREE, 6, motion);
+        for (int k = 0; k < 6; k++) moving[k] = motion[k] + free_base[k];
+        at_point(moving, centre, v);
+        float free = dot(axes, v);
+        if (!(gap < min_(reach_in_step(a, TC(GROUND_REACH), now, free), margin))) continue;
+        float point[3];
+        scale(axes, radius, point);
+        sub(centre, point, point);
+        w_store(a, FOUND(c) + FOUND_POINT, 3, point);
+        W(FOUND(c) + FOUND_GAP) = gap;
+        if (T(HAS_GRID)) w_store(a, FOUND(c) + FOUND_FRAME, 9, axes);
+        list_append(a, list, T(I_NEXT), c);
+    }
+}
+
+/* Finds the contacts near the ground and builds their rows after the search, in which threads find
+ * theirs at different times. */
 FN void build_ground_contacts(Robot *a, const float *free_base) {
     float inverse_dt = 1.0f / TC(DT), frame[9];
+    List list = {0, -1};
     a->num_contacts = a->num_spins = 0;
     a->violation = 0.0f;
-    /* the base's inertia is composite: the whole robot's */
-    a->compliance = 1.0f / W(T(W_DYNAMICS) + DYNAMICS_INERTIA);
     if (!T(HAS_GROUND)) return;
     for (int d = 0; d < 3; d++) mul_vec_transposed(a->base_rotation, C(PLANE + 3 * d), frame + 3 * d);
-    int found = find_ground_contacts(a, free_base, frame);
-    ROLLED for (int i = 0; i < found; i++) {
-        int row = ROW(i), contact = ROW_CONTACT(i), path = ROW_PATH(i);
-        float point[3], axes[9], base[18], own[9], gap = W(row + FOUND_GAP);
-        w_load(a, row + FOUND_POINT, 3, point);
+    find_ground_contacts(a, free_base, frame, &list);
+    a->num_contacts = number_contacts(a, &list, 0);
+    if (T(FRICTION)) a->num_spins = a->num_contacts;
+    SHARED_OUT(i, a->num_contacts) {
+        int row = ROW(i), found = FOUND(ROW_CONTACT(i)), path = L(T(T_CONTACT) + ROW_CONTACT(i) * CONTACT_SIZE);
+        float point[3], axes[9], base[18], own[9], gap = W(found + FOUND_GAP);
+        keep_path(a, i, path);
+        ROW_PAIR(i) = -1;
+        w_load(a, found + FOUND_POINT, 3, point);
         copy(axes, frame, 9);
-        if (T(HAS_GRID)) w_load(a, row + ROW_FRAME, 9, axes);
+        if (T(HAS_GRID)) {
+            w_load(a, found + FOUND_FRAME, 9, axes);
+            w_store(a, row + ROW_FRAME, 9, axes);
+        }
         set_directions(point, axes, base);
         build_rows(a, path, base, own, ROW_PARTS(i));
-        finish_rows(a, base, own, TC(GROUND_COMPLIANCE));
+        finish_rows(a, i, base, own, TC(GROUND_COMPLIANCE));
         float bounce = NO_TARGET, restitution = P(T(P_RESTITUTION));
         if (0.0f < restitution) {
             /* the sparse velocity is that before the step */
-            float approach = first_velocity(a, row, ROW_PARTS(i), path, a->y, T(W_JOINTS));
+            float approach = first_velocity(a, row, ROW_PARTS(i), path_of(a, path), a->y, T(W_JOINTS));
             int bounces = (approach < TC(BOUNCE_SPEED)) & (gap < -(approach * TC(DT)));
             if (bounces) bounce = -(approach * restitution);
         }
-        add_contact(a, contact, separation(a, gap, inverse_dt), bounce);
-        if (T(FRICTION)) add_spin(a, contact, axes);
+        add_contact(a, i, separation(a, gap, inverse_dt), bounce);
+        if (T(FRICTION)) add_spin(a, i, axes);
     }
 }
 #endif

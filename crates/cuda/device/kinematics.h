@@ -44,6 +44,7 @@ FN void place_base(Robot *a, const float *velocity) {
     for (int i = 0; i < 9; i++) W(LINK(0) + i) = i % 4 == 0 ? 1.0f : 0.0f;
     for (int i = 0; i < 3; i++) W(LINK(0) + LINK_POSITION + i) = 0.0f;
     w_store(a, LINK(0) + LINK_VELOCITY, 6, velocity);
+    for (int i = 0; i < 6; i++) W(LINK(0) + LINK_FREE + i) = 0.0f;
 }
 
 /* Position, axis and velocity of the link that a joint moves. `r`, `x` and `v` are its parent's before
@@ -80,19 +81,24 @@ FN void load_link(const Robot *a, int link, float *r, float *x, float *v) {
 }
 
 FN void forward_kinematics(Robot *a, const float *base_velocity) {
-    place_base(a, base_velocity);
-    ROLLED for (int j = 0; j < T(JOINTS); j++) {
-        float r[9], x[3], v[6], axis[6];
-        load_link(a, L(T(T_JOINT) + j * JOINT_SIZE), r, x, v);
-        place_link(a, j, r, x, v, axis);
+    if (IS_FIRST(a)) place_base(a, base_velocity);
+    SYNC;
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int block = BLOCK_AT(TREE_BLOCK(tree, k));
+        ROLLED for (int place = 0; place < L(block + 3); place++) {
+            int j = L(block + place);
+            float r[9], x[3], v[6], axis[6];
+            load_link(a, L(T(T_JOINT) + j * JOINT_SIZE), r, x, v);
+            place_link(a, j, r, x, v, axis);
+        }
     }
+    SYNC;
 }
 
 /* Sets the links' free velocities to those that the joint velocities in W_RHS give them. */
 FN void free_links(Robot *a) {
-    for (int i = 0; i < 6; i++) W(LINK(0) + LINK_FREE + i) = 0.0f;
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
-        int block = BLOCK_AT(b);
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
         ROLLED for (int place = 0; place < L(block + 3); place++) {
             int j = L(block + place), from = LINK(L(T(T_JOINT) + j * JOINT_SIZE)), to = LINK(j + 1);
             float velocity = W(T(W_RHS) + 3 * b + place);
@@ -122,25 +128,27 @@ FN void link_dynamics(Robot *a, int at, float mass, const float *com, const floa
     w_store(a, at + DYNAMICS_FORCE + 3, 3, lin);
 }
 
-#define SLOT(link) (T(W_DYNAMICS) + L(T(T_SLOT) + (link)) * DYNAMICS_SIZE)
+#define DYNAMICS(link) (T(W_DYNAMICS) + (link) * DYNAMICS_SIZE)
 
-/* Positions, axes and velocities of all links, bias forces and the mass matrix: tree after tree, each
- * from the base to the leaves and back. `gravity` is in base axes. */
+/* Positions, axes and velocities of all links, bias forces and the mass matrix: each tree from the base
+ * to the leaves and back, then the base. `gravity` is in base axes. */
 FN void equations_of_motion(Robot *a, const float *gravity) {
-    float velocity[6] = {0}, acceleration[6] = {0}, com[3], inertia[6], r[9], x[3];
-    s_load(a, T(S_ANGULAR), 3, velocity);
-    place_base(a, velocity);
-    scale(gravity, -1.0f, acceleration + 3);
-    p_load(a, T(P_COM), 3, com);
-    p_load(a, T(P_INERTIA), 6, inertia);
-    link_dynamics(a, SLOT(0), P(T(P_MASS)), com, inertia, velocity, acceleration);
-    ROLLED for (int tree = T(TREES) - 1; tree >= 0; tree--) {
-        int count = L(T(T_TREE) + 2 * tree), first = L(T(T_TREE) + 2 * tree + 1);
-        ROLLED for (int k = 0; k < count; k++) {
-            int block = BLOCK_AT(L(first + k)), len = L(block + 3);
+    float velocity[6] = {0}, acceleration[6] = {0}, com[3], inertia[6], r[9], x[3], whole[TREE_SIZE];
+    if (IS_FIRST(a)) {
+        s_load(a, T(S_ANGULAR), 3, velocity);
+        place_base(a, velocity);
+        scale(gravity, -1.0f, acceleration + 3);
+        p_load(a, T(P_COM), 3, com);
+        p_load(a, T(P_INERTIA), 6, inertia);
+        link_dynamics(a, DYNAMICS(0), P(T(P_MASS)), com, inertia, velocity, acceleration);
+    }
+    SYNC;
+    TREES_OF(tree) {
+        OUTWARD(tree, k) {
+            int block = BLOCK_AT(TREE_BLOCK(tree, k)), len = L(block + 3);
             int parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
             load_link(a, parent, r, x, velocity);
-            w_load(a, SLOT(parent), 6, acceleration);
+            w_load(a, DYNAMICS(parent), 6, acceleration);
             /* the joints of a block carry each other */
             ROLLED for (int place = 0; place < len; place++) {
                 int j = L(block + place);
@@ -154,15 +162,15 @@ FN void equations_of_motion(Robot *a, const float *gravity) {
                 add(x, com, com);
                 p_load(a, T(P_INERTIA) + 6 * (j + 1), 6, local);
                 rotate_sym(r, local, inertia);
-                link_dynamics(a, SLOT(j + 1), P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
+                link_dynamics(a, DYNAMICS(j + 1), P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
             }
         }
-        ROLLED for (int k = count - 1; k >= 0; k--) {
-            int b = L(first + k), block = BLOCK_AT(b), parent = SLOT(L(T(T_JOINT) + L(block) * JOINT_SIZE));
-            float carried[16];
+        INWARD(tree, k) {
+            int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
+            float carried[TREE_SIZE];
             for (int i = 0; i < 16; i++) carried[i] = 0.0f;
             ROLLED for (int place = L(block + 3) - 1, last = place; place >= 0; place--) {
-                int j = L(block + place), own = SLOT(j + 1) + DYNAMICS_INERTIA;
+                int j = L(block + place), own = DYNAMICS(j + 1) + DYNAMICS_INERTIA;
                 float axis[6], composite[16];
                 w_load(a, own, 16, composite);
                 for (int i = 0; i < 16; i++) carried[i] = place < last ? composite[i] + carried[i] : composite[i];
@@ -170,12 +178,20 @@ FN void equations_of_motion(Robot *a, const float *gravity) {
                 set_joint(a, b, place, carried, axis, P(T(P_ARMATURE) + j));
                 W(T(W_BIAS) + j) = dot6(axis, carried + 10);
             }
-            for (int i = 0; i < 16; i++)
-                W(parent + DYNAMICS_INERTIA + i) = W(parent + DYNAMICS_INERTIA + i) + carried[i];
+            /* the base's first block is the last one of its tree */
+            if (parent == 0)
+                w_store(a, T(W_TREE) + TREE_SIZE * tree, TREE_SIZE, carried);
+            else
+                for (int i = 0, at = DYNAMICS(parent) + DYNAMICS_INERTIA; i < 16; i++) W(at + i) = W(at + i) + carried[i];
             set_empty_places(a, b);
         }
     }
-    w_load(a, SLOT(0) + DYNAMICS_FORCE, 6, a->bias_base);
-    set_base(a, SLOT(0) + DYNAMICS_INERTIA);
+    SYNC;
+    w_load(a, DYNAMICS(0) + DYNAMICS_INERTIA, 16, whole);
+    ROLLED for (int tree = T(TREES) - 1; tree >= 0; tree--)
+        for (int i = 0; i < 16; i++) whole[i] = whole[i] + W(T(W_TREE) + TREE_SIZE * tree + i);
+    copy(a->bias_base, whole + 10, 6);
+    set_base(a, whole);
+    a->compliance = 1.0f / whole[0];
 }
 #endif

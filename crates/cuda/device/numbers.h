@@ -16,8 +16,22 @@
 #define BY_THREE _Pragma("unroll 3")
 /* of memory that no robot writes */
 #define READ(at) __ldg(at)
-#define RESTRICT __restrict__
 #define TABLE static __constant__ const
+#ifndef LANES
+#define LANES 4
+#endif
+#if LANES > 1
+/* All threads of a warp meet here, so that each sees what the others wrote. */
+#define SYNC __syncwarp()
+/* a variable of another thread of the robot */
+#define FROM_LANE(x, lane) __shfl_sync(~0u, x, lane, LANES)
+/* the same among the threads of one robot, in loops in which robots differ */
+#define GROUP_OF_THREAD (((1u << LANES) - 1u) << (threadIdx.x % 32 / LANES * LANES))
+#define GROUP_SYNC(a) __syncwarp((a)->group)
+#define FROM_GROUP(a, x, lane) __shfl_sync((a)->group, x, lane, LANES)
+#else
+#define ALONE
+#endif
 #else
 #include <math.h>
 #include <stddef.h>
@@ -25,8 +39,29 @@
 #define ROLLED
 #define BY_THREE
 #define READ(at) (*(at))
-#define RESTRICT restrict
 #define TABLE static const
+#ifndef LANES
+#define LANES 1
+#define ALONE
+#endif
+#endif
+#ifdef ALONE
+#define SYNC
+#define FROM_LANE(x, lane) (x)
+#define GROUP_OF_THREAD 1u
+#define GROUP_SYNC(a)
+#define FROM_GROUP(a, x, lane) ((void)(a), (x))
+#endif
+
+/* threads that share the solver's work on a row: one, or all of the robot */
+#ifndef SOLVERS
+#define SOLVERS 1
+#endif
+#if SOLVERS == 1
+#undef GROUP_SYNC
+#undef FROM_GROUP
+#define GROUP_SYNC(a)
+#define FROM_GROUP(a, x, lane) ((void)(a), (x))
 #endif
 
 /* joints of a block */

@@ -9,6 +9,8 @@
 
 #define PLACED(c) (T(W_COLLIDER) + (c) * PLACED_SIZE)
 #define LINK_BOX(l) (T(W_LINK_BOX) + (l) * LINK_BOX_SIZE)
+/* the pair of colliders that a contact was found on */
+#define PAIR_OF(contact) I(T(I_NEXT_PAIR) + T(PAIRS) + (contact) - T(CONTACTS))
 #define IS_BOX(c) (L(T(T_COLLIDER) + (c) * COLLIDER_SIZE + 2))
 #define COLLIDER_LINK(c) (L(T(T_COLLIDER) + (c) * COLLIDER_SIZE))
 
@@ -46,7 +48,7 @@ FN float half_squared_speed(const float *velocity, const float *centre, float sq
 
 /* Puts a box around the colliders of each link, and finds how fast any point of it moves. */
 FN void box_links(Robot *a) {
-    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
+    SHARED_OUT(link, T(JOINTS) + 1) {
         if (L(T(T_LINK_COLLIDERS) + 2 * link) == 0) continue;
         float box[6], r[9], x[3], centre[3], extent[3], motion[6], speed = 0.0f;
         p_load(a, T(P_LINK_BOX) + 6 * link, 6, box);
@@ -214,11 +216,14 @@ FN float parting(const Robot *a, const int *links, int of, const Proximity *foun
 
 /* Builds the rows of a contact of two links, which was found: equal and opposite forces along the axes
  * of a frame. */
-FN void build_pair(Robot *a) {
-    int i = a->num_contacts, row = ROW(i), at = T(T_PAIR) + ROW_PAIR(i) * PAIR_SIZE, path = ROW_PATH(i);
-    float normal[3], point[3], frame[9], base[18], own[9], gap = W(row + FOUND_GAP);
-    w_load(a, row + FOUND_POINT, 3, point);
-    w_load(a, row + FOUND_NORMAL, 3, normal);
+FN void build_pair(Robot *a, int i) {
+    int row = ROW(i), found = FOUND(ROW_CONTACT(i)), pair = PAIR_OF(ROW_CONTACT(i));
+    int at = T(T_PAIR) + pair * PAIR_SIZE, path = L(at + 5);
+    float normal[3], point[3], frame[9], base[18], own[9], gap = W(found + FOUND_GAP);
+    keep_path(a, i, path);
+    ROW_PAIR(i) = pair;
+    w_load(a, found + FOUND_POINT, 3, point);
+    w_load(a, found + FOUND_NORMAL, 3, normal);
     pair_frame(normal, frame);
     set_directions(point, frame, base);
     for (int k = 0; k < 9; k++) own[k] = 0.0f;
@@ -231,8 +236,8 @@ FN void build_pair(Robot *a) {
     for (int k = 0; k < 18; k++) base[k] = 0.0f;
     half_solve_rows(a, base, own, ROW_PARTS(i), path);
     w_store(a, row + ROW_FRAME, 9, frame);
-    finish_rows(a, base, own, TC(PAIR_COMPLIANCE));
-    add_contact(a, ROW_CONTACT(i), separation(a, gap, 1.0f / TC(DT)), NO_TARGET);
+    finish_rows(a, i, base, own, TC(PAIR_COMPLIANCE));
+    add_contact(a, i, separation(a, gap, 1.0f / TC(DT)), NO_TARGET);
 }
 
 /* Distance below which the boxes of two links are near each other. */
@@ -245,9 +250,8 @@ FN int links_near(const Robot *a, int group) {
     return box_distance(a, one, one + 3, two, two + 3) < near_distance(a, first, second);
 }
 
-/* Finds the contacts of two colliders, whose boxes are near each other. Returns the number of all
- * contacts that were found. */
-FN int touch_pair(Robot *a, int pair, int count) {
+/* Finds the contacts of two colliders, whose boxes are near each other. */
+FN void touch_pair(Robot *a, int pair, List *list) {
     int at = T(T_PAIR) + pair * PAIR_SIZE, first = L(at), second = L(at + 1), parts = L(at + 4);
     int links[2] = {COLLIDER_LINK(first), COLLIDER_LINK(second)}, is_box = IS_BOX(second);
     float margin = near_distance(a, links[0], links[1]);
@@ -264,7 +268,7 @@ FN int touch_pair(Robot *a, int pair, int count) {
         float reach = capsule.radius + margin, apart = -reach;
         for (int i = 0; i < 3; i++)
             apart = max_(apart, fabsf(capsule.centre[i]) - fabsf(capsule.half[i]) - other.half[i]);
-        if (!(apart < reach)) return count;
+        if (!(apart < reach)) return;
         float halves[2];
         nearest_to_box(&capsule, other.half, parts == 2, halves);
         places[0] = places[1] = halves[0];
@@ -273,7 +277,7 @@ FN int touch_pair(Robot *a, int pair, int count) {
         sub(capsule.centre, other.centre, t);
         float rest = capsule.radius + other.radius + margin;
         float lengths = 2.0f * (dot(capsule.half, capsule.half) + dot(other.half, other.half));
-        if (!(dot(t, t) < 2.0f * (rest * rest + lengths))) return count;
+        if (!(dot(t, t) < 2.0f * (rest * rest + lengths))) return;
         if (parts == 2) {
             nearest_on_capsules(&capsule, -1.0f, 0.0f, -0.5f, &other, places);
             nearest_on_capsules(&capsule, 0.0f, 1.0f, 0.5f, &other, places + 2);
@@ -294,45 +298,47 @@ FN int touch_pair(Robot *a, int pair, int count) {
         }
         float now = parting(a, links, LINK_VELOCITY, &found), free = parting(a, links, LINK_FREE, &found);
         if (!(found.gap < reach_in_step(a, TC(PAIR_REACH), now, free))) continue;
-        int row = ROW(count);
-        ROW_CONTACT(count) = L(at + 6) + i;
-        ROW_PATH(count) = L(at + 5);
-        ROW_PAIR(count) = pair;
-        w_store(a, row + FOUND_POINT, 3, found.point);
-        w_store(a, row + FOUND_NORMAL, 3, found.normal);
-        W(row + FOUND_GAP) = found.gap;
-        count++;
+        int contact = L(at + 6) + i;
+        w_store(a, FOUND(contact) + FOUND_POINT, 3, found.point);
+        w_store(a, FOUND(contact) + FOUND_NORMAL, 3, found.normal);
+        W(FOUND(contact) + FOUND_GAP) = found.gap;
+        PAIR_OF(contact) = pair;
+        list_append(a, list, T(I_NEXT), contact);
     }
-    return count;
 }
 
 /* Finds the pairs of links that are near each other and builds their rows. Each stage looks at all
  * links, pairs or contacts before the next one: the robots of a warp stay together. */
 FN void build_pairs(Robot *a) {
-    int count = a->num_contacts, near = T(ROWS);
+    List near = {0, -1}, list = {0, -1};
+    int first = a->num_contacts;
     if (T(PAIRS) == 0) return;
+    SYNC;
     box_links(a);
-    ROLLED for (int group = 0; group < T(GROUPS); group++) {
+    SYNC;
+    SHARED_OUT(group, T(GROUPS)) {
         int at = T(T_GROUP) + group * GROUP_SIZE;
         if (links_near(a, at)) I(T(I_PLACED) + L(at)) = I(T(I_PLACED) + L(at + 1)) = 1;
     }
-    ROLLED for (int link = 0; link <= T(JOINTS); link++) {
-        int colliders = T(T_LINK_COLLIDERS) + 2 * link, number = L(colliders);
-        if (number == 0 || !I(T(I_PLACED) + link)) continue;
-        ROLLED for (int k = 0; k < number; k++) place_collider(a, L(L(colliders + 1) + k));
+    SYNC;
+    SHARED_OUT(c, T(COLLIDERS)) {
+        if (I(T(I_PLACED) + COLLIDER_LINK(c))) place_collider(a, c);
     }
-    /* pairs whose boxes are near each other: a list in the memory of the last rows, which contacts of
-     * earlier pairs do not reach */
-    ROLLED for (int group = T(GROUPS) - 1; group >= 0; group--) {
-        int at = T(T_GROUP) + group * GROUP_SIZE, first = L(at + 2);
+    SYNC;
+    SHARED_OUT(group, T(GROUPS)) {
+        int at = T(T_GROUP) + group * GROUP_SIZE, begin = L(at + 2);
         if (!links_near(a, at)) continue;
         float distance = near_distance(a, L(at), L(at + 1));
-        ROLLED for (int pair = first + L(at + 3) - 1; pair >= first; pair--) {
+        ROLLED for (int pair = begin; pair < begin + L(at + 3); pair++) {
             int one = PLACED(L(T(T_PAIR) + pair * PAIR_SIZE)), two = PLACED(L(T(T_PAIR) + pair * PAIR_SIZE + 1));
-            if (box_distance(a, one, one + PLACED_EXTENT, two, two + PLACED_EXTENT) < distance) ROW_PAIR(--near) = pair;
+            if (box_distance(a, one, one + PLACED_EXTENT, two, two + PLACED_EXTENT) < distance)
+                list_append(a, &near, T(I_NEXT_PAIR), pair);
         }
     }
-    ROLLED for (; near < T(ROWS); near++) count = touch_pair(a, ROW_PAIR(near), count);
-    ROLLED while (a->num_contacts < count) build_pair(a);
+    if (near.last >= 0) I(T(I_NEXT_PAIR) + near.last) = -1;
+    ROLLED for (int pair = near.last < 0 ? -1 : near.first; pair >= 0; pair = I(T(I_NEXT_PAIR) + pair))
+        touch_pair(a, pair, &list);
+    a->num_contacts = number_contacts(a, &list, first);
+    ROLLED for (int i = first + a->lane; i < a->num_contacts; i += LANES) build_pair(a, i);
 }
 #endif

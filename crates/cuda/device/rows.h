@@ -7,64 +7,104 @@
 #define POLYPOD_ROWS_H
 #include "factor.h"
 
-/* The first block of a path, 0 if there is none. */
-FN int first_block(const Robot *a, int path) { return PATH_PARTS(path) > 0 ? L(PART(path, 0)) : 0; }
-
-/* Rows as the solver reads them. */
+/* A path: its blocks, where the velocities of the first one are, and the list of its parts. */
 typedef struct {
-    float base[18], own[9];
-} Rows;
+    int parts, place, list;
+} Path;
 
-FN void load_rows(const Robot *a, int row, Rows *o) {
-    w_load(a, row, 18, o->base);
-    w_load(a, row + ROW_OWN, 9, o->own);
+FN Path path_of(const Robot *a, int path) {
+    Path o = {PATH_PARTS(path), 0, PATH_FIRST(path)};
+    if (o.parts > 0) o.place = BLOCK * L(o.list);
+    return o;
+}
+/* where the velocities of the block of a part are */
+#define PLACE(path, p) (BLOCK * L((path).list + (p) * PART_SIZE))
+
+/* The base's part of a sparse velocity, and the numbers of it that this thread brings up to date. */
+typedef struct {
+    float *all, *own;
+} Base;
+
+FN Base velocity_of(const Robot *a) {
+    Base o = {a->y, a->y_own};
+    return o;
+}
+FN Base moved_of(const Robot *a) {
+    Base o = {a->moved, a->moved_own};
+    return o;
+}
+/* Takes this thread's numbers from all. */
+FN void take_own(const Robot *a, Base y) {
+    for (int r = 0; r < 6; r++)
+        if (SOLVER(a) == r % SOLVERS) y.own[r / SOLVERS] = y.all[r];
+}
+FN void gather(const Robot *a, Base y) {
+    for (int r = 0; r < 6; r++) y.all[r] = FROM_GROUP(a, y.own[r / SOLVERS], r % SOLVERS);
 }
 
-FN void velocities(const Robot *a, const Rows *rows, int further, int path, int units, const float *y_base,
-                       int joints, float *w) {
-    int parts = PATH_PARTS(path);
-    float even[3], odd[3], y[3];
-    w_load(a, joints + 3 * first_block(a, path), 3, y);
-    for (int d = 0; d < 3; d++) even[d] = rows->own[d] * y[0];
-    for (int s = 1; s < BLOCK; s++)
-        for (int d = 0; d < 3; d++)
-            if (!units || d >= s) even[d] = fma_(rows->own[3 * s + d], y[s], even[d]);
-    ROLLED for (int p = 1; p < parts; p++) {
-        int z = further + 9 * (p - 1);
-        w_load(a, joints + 3 * L(PART(path, p)), 3, y);
-        for (int s = 0; s < BLOCK; s++)
-            for (int d = 0; d < 3; d++) even[d] = fma_(W(z + 3 * s + d), y[s], even[d]);
-    }
-    for (int d = 0; d < 3; d++) {
-        const float *b = rows->base + 6 * d;
-        even[d] = fma_(b[4], y_base[4], fma_(b[2], y_base[2], fma_(b[0], y_base[0], even[d])));
-        odd[d] = fma_(b[5], y_base[5], fma_(b[3], y_base[3], b[1] * y_base[1]));
-        w[d] = even[d] + odd[d];
-    }
+/* The place of a thread's k-th number among `count`; spare threads repeat the last one. */
+FN int own_place(const Robot *a, int k, int count) {
+    int i = SOLVER(a) + k * SOLVERS;
+    return i < count ? i : count - 1;
 }
 
-FN void apply_rows(Robot *a, const Rows *rows, int further, int path, int units, const float *impulse,
-                       float *y_base, int joints) {
-    int at = joints + 3 * first_block(a, path), parts = PATH_PARTS(path);
-    float y[3];
-    for (int r = 0; r < 6; r++) {
-        float x = fma_(rows->base[r], impulse[0], y_base[r]);
-        x = fma_(rows->base[6 + r], impulse[1], x);
-        y_base[r] = fma_(rows->base[12 + r], impulse[2], x);
+/* Velocities of three rows. Each thread finds its share. */
+FN void velocities(const Robot *a, int row, int further, Path path, int units, Base y, int joints, float *w) {
+    float own[OWN(3)], v[3];
+    w_load(a, joints + path.place, 3, v);
+    for (int k = 0; k < OWN(3); k++) {
+        int d = own_place(a, k, 3), z = row + ROW_OWN + d;
+        own[k] = W(z) * v[0];
+        for (int s = 1; s < BLOCK; s++) {
+            float next = fma_(W(z + 3 * s), v[s], own[k]);
+            own[k] = units && d < s ? own[k] : next;
+        }
     }
-    w_load(a, at, 3, y);
-    for (int s = 0; s < BLOCK; s++)
-        for (int d = 0; d < 3; d++)
-            if (!units || d >= s) y[s] = fma_(rows->own[3 * s + d], impulse[d], y[s]);
-    w_store(a, at, 3, y);
-    ROLLED for (int p = 1; p < parts; p++) {
-        float z[9];
-        at = joints + 3 * L(PART(path, p));
-        w_load(a, further + 9 * (p - 1), 9, z);
-        w_load(a, at, 3, y);
-        for (int s = 0; s < BLOCK; s++)
-            for (int d = 0; d < 3; d++) y[s] = fma_(z[3 * s + d], impulse[d], y[s]);
-        w_store(a, at, 3, y);
+    ROLLED for (int p = 1; p < path.parts; p++) {
+        w_load(a, joints + PLACE(path, p), 3, v);
+        for (int k = 0; k < OWN(3); k++) {
+            int z = further + 9 * (p - 1) + own_place(a, k, 3);
+            for (int s = 0; s < BLOCK; s++) own[k] = fma_(W(z + 3 * s), v[s], own[k]);
+        }
+    }
+    for (int k = 0; k < OWN(3); k++) {
+        float b[6];
+        w_load(a, row + 6 * own_place(a, k, 3), 6, b);
+        float even = fma_(b[4], y.all[4], fma_(b[2], y.all[2], fma_(b[0], y.all[0], own[k])));
+        float odd = fma_(b[5], y.all[5], fma_(b[3], y.all[3], b[1] * y.all[1]));
+        own[k] = even + odd;
+    }
+    for (int d = 0; d < 3; d++) w[d] = FROM_GROUP(a, own[d / SOLVERS], d % SOLVERS);
+}
+
+/* Adds to a sparse velocity what impulses on three rows change. What threads have read of it and of
+ * the impulses before they may write afterwards: `gather` waits for all. */
+FN void apply_rows(Robot *a, int row, int further, Path path, int units, const float *impulse, Base y, int joints) {
+    for (int k = 0; k < OWN(6); k++) {
+        int r = own_place(a, k, 6);
+        float x = fma_(W(row + r), impulse[0], y.own[k]);
+        x = fma_(W(row + 6 + r), impulse[1], x);
+        y.own[k] = fma_(W(row + 12 + r), impulse[2], x);
+    }
+    gather(a, y);
+    for (int k = 0; k < OWN(3); k++) {
+        int s = SOLVER(a) + k * SOLVERS, at = joints + path.place + s;
+        if (s >= BLOCK) continue;
+        float x = W(at);
+        for (int d = 0; d < 3; d++) {
+            float next = fma_(W(row + ROW_OWN + 3 * s + d), impulse[d], x);
+            x = units && d < s ? x : next;
+        }
+        W(at) = x;
+    }
+    ROLLED for (int p = 1; p < path.parts; p++) {
+        for (int k = 0; k < OWN(3); k++) {
+            int s = SOLVER(a) + k * SOLVERS, at = joints + PLACE(path, p) + s, z = further + 9 * (p - 1) + 3 * s;
+            if (s >= BLOCK) continue;
+            float x = W(at);
+            for (int d = 0; d < 3; d++) x = fma_(W(z + d), impulse[d], x);
+            W(at) = x;
+        }
     }
 }
 
@@ -107,28 +147,30 @@ FN void products(const Robot *a, const float *base, const float *own, int furthe
     out[5] = dot6_onto(base + 6, base + 12, product[5]);
 }
 
-FN float first_velocity(const Robot *a, int row, int further, int path, const float *y_base, int joints) {
-    int at = joints + 3 * first_block(a, path);
+/* Velocity of the first of three rows, in each thread. */
+FN float first_velocity(const Robot *a, int row, int further, Path path, const float *y_base, int joints) {
+    int at = joints + path.place;
     float base[6], w = W(row + ROW_OWN) * W(at);
     w = fma_(W(row + ROW_OWN + 6), W(at + 2), fma_(W(row + ROW_OWN + 3), W(at + 1), w));
-    ROLLED for (int p = 1; p < PATH_PARTS(path); p++) {
+    ROLLED for (int p = 1; p < path.parts; p++) {
         int z = further + 9 * (p - 1);
-        at = joints + 3 * L(PART(path, p));
+        at = joints + PLACE(path, p);
         for (int s = 0; s < BLOCK; s++) w = fma_(W(z + 3 * s), W(at + s), w);
     }
     w_load(a, row, 6, base);
     return dot6_onto(base, y_base, w);
 }
 
-FN void apply_first(Robot *a, int row, int further, int path, float impulse, float *y_base, int joints) {
-    int parts = PATH_PARTS(path);
-    for (int r = 0; r < 6; r++) y_base[r] = fma_(W(row + r), impulse, y_base[r]);
-    ROLLED for (int p = 0; p < (parts > 0 ? parts : 1); p++) {
-        int z = p == 0 ? row + ROW_OWN : further + 9 * (p - 1);
-        int at = joints + 3 * (p == 0 ? first_block(a, path) : L(PART(path, p)));
-        float y[3];
-        for (int s = 0; s < BLOCK; s++) y[s] = fma_(W(z + 3 * s), impulse, W(at + s));
-        w_store(a, at, 3, y);
+/* As `apply_rows`, for an impulse on the first row alone. */
+FN void apply_first(Robot *a, int row, int further, Path path, float impulse, Base y, int joints) {
+    for (int k = 0; k < OWN(6); k++) y.own[k] = fma_(W(row + own_place(a, k, 6)), impulse, y.own[k]);
+    gather(a, y);
+    ROLLED for (int p = 0; p < (path.parts > 0 ? path.parts : 1); p++) {
+        int z = p == 0 ? row + ROW_OWN : further + 9 * (p - 1), at = joints + (p == 0 ? path.place : PLACE(path, p));
+        for (int k = 0; k < OWN(3); k++) {
+            int s = SOLVER(a) + k * SOLVERS;
+            if (s < BLOCK) W(at + s) = fma_(W(z + 3 * s), impulse, W(at + s));
+        }
     }
 }
 
@@ -280,6 +322,7 @@ FN void set_directions(const float *point, const float *frame, float *base) {
 #define ROW_CONTACT(i) I(T(I_ROW) + ROW_INTEGERS * (i))
 #define ROW_PATH(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 1)
 #define ROW_PAIR(i) I(T(I_ROW) + ROW_INTEGERS * (i) + 2)
+#define ROW_WAY(i) (T(I_ROW) + ROW_INTEGERS * (i) + 3)
 #define SPIN(i) (T(W_SPIN) + (i) * SPIN_SIZE)
 #define SPIN_PARTS(i) (T(W_SPIN_FURTHER) + (i) * 9 * T(STRIDE))
 #define BOUND(b) (T(W_BOUND) + (b) * BOUND_SIZE)
@@ -288,9 +331,26 @@ FN void set_directions(const float *point, const float *frame, float *base) {
 /* the path of a block's last joint */
 #define BOUND_PATH(b) (L(BLOCK_AT(b) + L(BLOCK_AT(b) + 3) - 1) + 1)
 
-/* Stores the rows about to be added and their couplings. */
-FN void finish_rows(Robot *a, const float *base, const float *own, float compliance) {
-    int i = a->num_contacts, row = ROW(i);
+/* Keeps the path of contact i where the solver finds it. */
+FN void keep_path(Robot *a, int i, int path) {
+    Path way = path_of(a, path);
+    ROW_PATH(i) = path;
+    I(ROW_WAY(i)) = way.parts;
+    I(ROW_WAY(i) + 1) = way.place;
+    I(ROW_WAY(i) + 2) = way.list;
+}
+FN Path path_of_row(const Robot *a, int i) {
+    Path o = {I(ROW_WAY(i)), I(ROW_WAY(i) + 1), I(ROW_WAY(i) + 2)};
+    return o;
+}
+FN Path path_of_bound(const Robot *a, int b) {
+    Path o = {I(BOUND_INTEGER(b) + 8), BLOCK * b, I(BOUND_INTEGER(b) + 9)};
+    return o;
+}
+
+/* Stores the rows of contact i and their couplings. */
+FN void finish_rows(Robot *a, int i, const float *base, const float *own, float compliance) {
+    int row = ROW(i);
     float product[6], softness = a->compliance * compliance, least = a->compliance * TC(MIN_TANGENT_COMPLIANCE);
     products(a, base, own, ROW_PARTS(i), ROW_PATH(i), 0, product);
     w_store(a, row, 18, base);
@@ -320,16 +380,57 @@ FN void last_impulse(Robot *a, int contact, int at) {
     for (int d = 0; d < 3; d++) W(at + d) = found < 0 ? 0.0f : W(T(W_PRESSING) + 3 * found + d);
 }
 
-/* Adds the rows that were built as a contact that separates at least at the speeds `target`, which
- * may push out, and `bounce`. */
-FN void add_contact(Robot *a, int contact, float target, float bounce) {
-    int row = ROW(a->num_contacts);
+/* Makes the rows that were built those of a contact that separates at least at the speeds `target`,
+ * which may push out, and `bounce`. */
+FN void add_contact(Robot *a, int i, float target, float bounce) {
+    int row = ROW(i);
     a->violation = max_(a->violation, target);
     W(row + ROW_TARGET) = max_(min_(target, 0.0f), bounce);
     W(row + ROW_PUSH) = target;
     W(row + ROW_PUSH_IMPULSE) = 0.0f;
     W(row + ROW_LAST_CHANGE) = 0.0f;
-    last_impulse(a, contact, row + ROW_IMPULSE);
-    a->num_contacts += 1;
+    last_impulse(a, ROW_CONTACT(i), row + ROW_IMPULSE);
+}
+
+/* Found contacts of a thread: a list in rising order, each with the next one. */
+typedef struct {
+    int first, last;
+} List;
+#define FOUND(contact) (T(W_FOUND) + (contact) * FOUND_SIZE)
+
+FN void list_append(Robot *a, List *list, int next, int entry) {
+    if (list->last < 0)
+        list->first = entry;
+    else
+        I(next + list->last) = entry;
+    list->last = entry;
+}
+
+/* Gives the contacts that the threads of a robot found rows in rising order, behind `count` earlier
+ * ones. Returns their number. */
+FN int number_contacts(Robot *a, List *list, int count) {
+    int next[LANES], end = T(ROWS), merged = count;
+    if (list->last >= 0) I(T(I_NEXT) + list->last) = end;
+    SYNC;
+    for (int k = 0; k < LANES; k++) next[k] = FROM_LANE(list->last < 0 ? end : list->first, k);
+    ROLLED for (;;) {
+        int least = next[0];
+        for (int k = 1; k < LANES; k++) least = next[k] < least ? next[k] : least;
+        if (least == end) break;
+        for (int k = 0; k < LANES; k++) {
+            if (next[k] != least) continue;
+            next[k] = I(T(I_NEXT) + least);
+            if (a->lane == k) ROW_CONTACT(merged) = least;
+        }
+        merged++;
+    }
+    SYNC;
+    return merged;
+}
+
+/* The largest violation that the threads of a robot met. */
+FN void share_violation(Robot *a) {
+    float own = a->violation;
+    for (int k = 0; k < LANES; k++) a->violation = max_(a->violation, FROM_LANE(own, k));
 }
 #endif

@@ -1,37 +1,44 @@
 /* The contact solver: warm-started Gauss-Seidel sweeps over contacts and joint bounds,
- * crates/dynamics/src/solver/. A single robot needs no masks: a sweep is made or it is not. */
+ * crates/dynamics/src/solver/. A single robot needs no masks: a sweep is made or it is not.
+ *
+ * Rows follow each other. SOLVERS threads of a robot share the work on each: all of them hold the same
+ * numbers and make the same choices. One thread writes a number of a row, after `gather`, and
+ * GROUP_SYNC ends the work on the row. With one solver the other threads wait. */
 #ifndef POLYPOD_SOLVER_H
 #define POLYPOD_SOLVER_H
 #include "bounds.h"
 
+#define NUM_VELOCITIES (BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1))
+
 /* Applies the impulses of the last physics step, all scaled by one share in [0, 1]. */
 FN void warm_start(Robot *a) {
-    int moved = T(W_MOVED), joints = T(W_JOINTS), numbers = BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1);
+    int moved = T(W_MOVED), joints = T(W_JOINTS), numbers = NUM_VELOCITIES;
     float targets = 0.0f, energy = (float)1e-20, impulse[3];
-    Rows rows;
     for (int r = 0; r < 6; r++) a->moved[r] = 0.0f;
-    ROLLED for (int k = 0; k < numbers; k++) W(moved + k) = 0.0f;
+    take_own(a, moved_of(a));
+    SOLVED_OUT(k, numbers) W(moved + k) = 0.0f;
+    GROUP_SYNC(a);
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         w_load(a, row + ROW_IMPULSE, 3, impulse);
-        load_rows(a, row, &rows);
-        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
         targets = fma_(W(row + ROW_TARGET), impulse[0], targets);
         energy = fma_(W(row + ROW_SOFTNESS) * impulse[0], impulse[0], energy);
+        apply_rows(a, row, ROW_PARTS(i), path_of_row(a, i), 0, impulse, moved_of(a), moved);
+        GROUP_SYNC(a);
     }
     ROLLED for (int i = 0; i < a->num_spins; i++) {
         w_load(a, SPIN(i) + SPIN_IMPULSE, 3, impulse);
-        load_rows(a, SPIN(i), &rows);
         if (T(FRICTION) == 2)
-            apply_rows(a, &rows, SPIN_PARTS(i), ROW_PATH(i), 0, impulse, a->moved, moved);
+            apply_rows(a, SPIN(i), SPIN_PARTS(i), path_of_row(a, i), 0, impulse, moved_of(a), moved);
         else
-            apply_first(a, SPIN(i), SPIN_PARTS(i), ROW_PATH(i), impulse[0], a->moved, moved);
+            apply_first(a, SPIN(i), SPIN_PARTS(i), path_of_row(a, i), impulse[0], moved_of(a), moved);
+        GROUP_SYNC(a);
     }
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) impulse[i] = bound_impulse(a, b, i);
-        load_rows(a, BOUND(b), &rows);
-        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, impulse, a->moved, moved);
+        apply_rows(a, BOUND(b), BOUND_PARTS(b), path_of_bound(a, b), 1, impulse, moved_of(a), moved);
+        GROUP_SYNC(a);
         if (!BLOCK_LIMITS(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -51,13 +58,15 @@ FN void warm_start(Robot *a) {
         energy = fma_(a->moved[r], a->moved[r], energy);
     }
     float share = clamp_(gain / energy, 0.0f, 1.0f);
-    ROLLED for (int k = 0; k < numbers; k++) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
+    GROUP_SYNC(a);
+    SOLVED_OUT(k, numbers) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
     for (int r = 0; r < 6; r++) a->y[r] = fma_(share, a->moved[r], a->y[r]);
-    ROLLED for (int i = 0; i < a->num_contacts; i++)
+    take_own(a, velocity_of(a));
+    SOLVED_OUT(i, a->num_contacts)
         for (int d = 0; d < 3; d++) W(ROW(i) + ROW_IMPULSE + d) = W(ROW(i) + ROW_IMPULSE + d) * share;
-    ROLLED for (int i = 0; i < a->num_spins; i++)
+    SOLVED_OUT(i, a->num_spins)
         for (int d = 0; d < 3; d++) W(SPIN(i) + SPIN_IMPULSE + d) = W(SPIN(i) + SPIN_IMPULSE + d) * share;
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+    SOLVED_OUT(b, T(BLOCKS)) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -65,6 +74,7 @@ FN void warm_start(Robot *a) {
             if (BLOCK_LIMITS(b)) W(row + LIMIT_IMPULSE) = W(row + LIMIT_IMPULSE) * share;
         }
     }
+    GROUP_SYNC(a);
 }
 
 /* Impulse that brings a velocity into its bounds; with `impulse` the velocity is w. */
@@ -73,31 +83,23 @@ FN float bounding(const Robot *a, int row, float w, float impulse, float lowest,
     return (clamp_(without, lowest, highest) - without) * W(row + INVERSE);
 }
 
-/* Sets the impulse of the limit, which brings the velocity w into its bounds; the change. */
-FN float apply_limit(Robot *a, int row, int near, float w) {
-    float old = W(row + LIMIT_IMPULSE), limit = old;
-    if (near)
-        limit = bounding(a, row, w, old, min_(W(row + LOWEST), 0.0f), max_(W(row + HIGHEST), 0.0f));
-    W(row + LIMIT_IMPULSE) = limit;
-    return limit - old;
+/* Impulse of the limit that brings the velocity w into its bounds; `old` is the one so far. */
+FN float limiting(const Robot *a, int row, int near, float w, float old) {
+    return near ? bounding(a, row, w, old, min_(W(row + LOWEST), 0.0f), max_(W(row + HIGHEST), 0.0f)) : old;
 }
 
-/* Sets the impulse of the motion that pushes joints back; the change. */
-FN float apply_push(Robot *a, int row, int near, float w) {
-    float old = W(row + PUSH_IMPULSE), limit = old;
-    if (near) limit = bounding(a, row, w, old, W(row + LOWEST), W(row + HIGHEST));
-    W(row + PUSH_IMPULSE) = limit;
-    return limit - old;
+/* Impulse of the motion that pushes joints back. */
+FN float pushing_back(const Robot *a, int row, int near, float w, float old) {
+    return near ? bounding(a, row, w, old, W(row + LOWEST), W(row + HIGHEST)) : old;
 }
 
 /* Adds to the velocities of later rows what an impulse on row i changes in them. */
-FN void pass_change(const Robot *a, int b, int i, float change, float *w) {
-    int coupling = BOUND(b) + ROW_COUPLING;
+FN void pass_change(const float *coupling, int i, float change, float *w) {
     if (i == 0) {
-        w[1] = fma_(W(coupling), change, w[1]);
-        w[2] = fma_(W(coupling + 1), change, w[2]);
+        w[1] = fma_(coupling[0], change, w[1]);
+        w[2] = fma_(coupling[1], change, w[2]);
     } else if (i == 1) {
-        w[2] = fma_(W(coupling + 2), change, w[2]);
+        w[2] = fma_(coupling[2], change, w[2]);
     }
 }
 
@@ -105,23 +107,26 @@ FN void pass_change(const Robot *a, int b, int i, float change, float *w) {
 FN void sweep_bounds(Robot *a) {
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
-        float w[3], stopping[3], change[3], pass[3];
-        Rows rows;
-        load_rows(a, BOUND(b), &rows);
-        velocities(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, a->y, T(W_JOINTS), w);
-        w_load(a, BOUND(b) + BOUND_FRICTION, 3, pass);
+        int bound = BOUND(b), limits = BLOCK_LIMITS(b);
+        Path path = path_of_bound(a, b);
+        float w[3], stopping[3], change[3], pass[3], coupling[3], friction[3], limit[3];
+        velocities(a, bound, BOUND_PARTS(b), path, 1, velocity_of(a), T(W_JOINTS), w);
+        w_load(a, bound + BOUND_FRICTION, 3, pass);
+        w_load(a, bound + ROW_COUPLING, 3, coupling);
         for (int i = 0; i < 3; i++)
             stopping[i] = nfma(w[i], W(BOUND_ROW(b, i) + INVERSE), W(BOUND_ROW(b, i) + FRICTION_IMPULSE));
         for (int i = 0; i < 3; i++) {
             int row = BOUND_ROW(b, i);
             float old = W(row + FRICTION_IMPULSE), most = W(row + MAX_FRICTION);
-            float friction = clamp_(stopping[i], -most, most);
-            W(row + FRICTION_IMPULSE) = friction;
-            change[i] = friction - old;
-            if (BLOCK_LIMITS(b)) {
-                if (NEAR_LIMIT(b, i))
-                    change[i] = change[i] + apply_limit(a, row, 1, fma_(W(row + DIAGONAL), change[i], w[i]));
-                pass_change(a, b, i, change[i], w);
+            friction[i] = clamp_(stopping[i], -most, most);
+            change[i] = friction[i] - old;
+            if (limits) {
+                if (NEAR_LIMIT(b, i)) {
+                    float impulse = W(row + LIMIT_IMPULSE);
+                    limit[i] = limiting(a, row, 1, fma_(W(row + DIAGONAL), change[i], w[i]), impulse);
+                    change[i] = change[i] + (limit[i] - impulse);
+                }
+                pass_change(coupling, i, change[i], w);
             }
             if (i == 0) {
                 stopping[1] = nfma(change[0], pass[0], stopping[1]);
@@ -130,32 +135,45 @@ FN void sweep_bounds(Robot *a) {
                 stopping[2] = nfma(change[1], pass[2], stopping[2]);
             }
         }
-        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, change, a->y, T(W_JOINTS));
+        apply_rows(a, bound, BOUND_PARTS(b), path, 1, change, velocity_of(a), T(W_JOINTS));
+        if (IS_FIRST(a)) {
+            for (int i = 0; i < 3; i++) {
+                W(BOUND_ROW(b, i) + FRICTION_IMPULSE) = friction[i];
+                if (limits && NEAR_LIMIT(b, i)) W(BOUND_ROW(b, i) + LIMIT_IMPULSE) = limit[i];
+            }
+        }
+        GROUP_SYNC(a);
     }
 }
 
 /* One sweep over joint limits alone. Returns the largest change of a velocity. */
-FN float sweep_limits(Robot *a, int pushing, float *y, int joints) {
+FN float sweep_limits(Robot *a, int pushing, Base y, int joints) {
     float most = 0.0f;
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_LIMITS(b)) continue;
-        float w[3], change[3];
-        Rows rows;
-        load_rows(a, BOUND(b), &rows);
-        velocities(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, y, joints, w);
+        int of = pushing ? PUSH_IMPULSE : LIMIT_IMPULSE;
+        Path path = path_of_bound(a, b);
+        float w[3], change[3], coupling[3], limit[3];
+        velocities(a, BOUND(b), BOUND_PARTS(b), path, 1, y, joints, w);
+        w_load(a, BOUND(b) + ROW_COUPLING, 3, coupling);
         for (int i = 0; i < 3; i++) {
             int row = BOUND_ROW(b, i), near = NEAR_LIMIT(b, i);
-            change[i] = pushing ? apply_push(a, row, near, w[i]) : apply_limit(a, row, near, w[i]);
+            float old = W(row + of);
+            limit[i] = pushing ? pushing_back(a, row, near, w[i], old) : limiting(a, row, near, w[i], old);
+            change[i] = limit[i] - old;
             most = max_(most, fabsf(change[i] * W(row + DIAGONAL)));
-            pass_change(a, b, i, change[i], w);
+            pass_change(coupling, i, change[i], w);
         }
-        apply_rows(a, &rows, BOUND_PARTS(b), BOUND_PATH(b), 1, change, y, joints);
+        apply_rows(a, BOUND(b), BOUND_PARTS(b), path, 1, change, y, joints);
+        if (IS_FIRST(a))
+            for (int i = 0; i < 3; i++) W(BOUND_ROW(b, i) + of) = limit[i];
+        GROUP_SYNC(a);
     }
     return most;
 }
 
 /* Sweeps over joint limits alone until none changes a velocity. */
-FN void settle_limits(Robot *a, int pushing, float *y, int joints) {
+FN void settle_limits(Robot *a, int pushing, Base y, int joints) {
     ROLLED for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
         if (!(TC(LIMIT_TOLERANCE) < sweep_limits(a, pushing, y, joints))) break;
 }
@@ -183,15 +201,15 @@ FN void sliding(float mass, float w1, float w2, float i1, float i2, float bound,
 FN void sweep_contacts(Robot *a) {
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
+        Path path = path_of_row(a, i);
         float friction[2], old[3], w[3], inverse[3], pass[3], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
         w_load(a, row + ROW_IMPULSE, 3, old);
         w_load(a, row + ROW_INVERSE, 3, inverse);
         w_load(a, row + ROW_STICKING, 3, pass);
+        float c1 = W(row + ROW_COUPLING), c2 = W(row + ROW_COUPLING + 1), slide = W(row + ROW_SLIDE);
         float at_rest = nfma(fma_(W(row + ROW_SOFTNESS), old[0], -W(row + ROW_TARGET)), inverse[0], old[0]);
-        Rows rows;
-        load_rows(a, row, &rows);
-        velocities(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
+        velocities(a, row, ROW_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
         float normal = max_(nfma(w[0], inverse[0], at_rest), 0.0f);
         float dn = normal - old[0];
         /* the point sticks if the impulse that stops it is inside the disc of the static coefficient */
@@ -199,21 +217,21 @@ FN void sweep_contacts(Robot *a) {
         float t2 = nfma(dn, pass[1], fma_(w[1], pass[2], nfma(w[2], inverse[2], old[2])));
         float hold = friction[0] * normal;
         int presses = 0.0f < normal, slides = hold * hold < fma_(t1, t1, t2 * t2);
-        float w1 = fma_(W(row + ROW_COUPLING), dn, w[1]), w2 = fma_(W(row + ROW_COUPLING + 1), dn, w[2]);
-        sliding(W(row + ROW_SLIDE), w1, w2, old[1], old[2], friction[1] * normal, s);
-        float new1 = presses ? (slides ? s[0] : t1) : 0.0f, new2 = presses ? (slides ? s[1] : t2) : 0.0f;
-        float change[3] = {dn, new1 - old[1], new2 - old[2]};
-        W(row + ROW_IMPULSE) = normal;
-        W(row + ROW_IMPULSE + 1) = new1;
-        W(row + ROW_IMPULSE + 2) = new2;
-        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, change, a->y, T(W_JOINTS));
+        float w1 = fma_(c1, dn, w[1]), w2 = fma_(c2, dn, w[2]);
+        sliding(slide, w1, w2, old[1], old[2], friction[1] * normal, s);
+        float now[3] = {normal, presses ? (slides ? s[0] : t1) : 0.0f, presses ? (slides ? s[1] : t2) : 0.0f};
+        float change[3] = {dn, now[1] - old[1], now[2] - old[2]};
+        apply_rows(a, row, ROW_PARTS(i), path, 0, change, velocity_of(a), T(W_JOINTS));
+        if (IS_FIRST(a)) w_store(a, row + ROW_IMPULSE, 3, now);
+        GROUP_SYNC(a);
     }
 }
 
 /* One sweep over torsional and rolling friction. */
 FN void sweep_spins(Robot *a) {
     ROLLED for (int i = 0; i < a->num_spins; i++) {
-        int spin = SPIN(i), contact = ROW_CONTACT(i), path = ROW_PATH(i);
+        int spin = SPIN(i), contact = ROW_CONTACT(i);
+        Path path = path_of_row(a, i);
         float torsional = P(T(P_TORSIONAL_FRICTION)), rolling = P(T(P_ROLLING_FRICTION));
         if (T(HAS_SURFACES)) {
             torsional = max_(torsional, P(T(P_CONTACT_FRICTION) + 3 * contact + 1));
@@ -224,12 +242,10 @@ FN void sweep_spins(Robot *a) {
         w_load(a, spin + SPIN_IMPULSE, 3, old);
         w_load(a, spin + ROW_INVERSE, 3, inverse);
         copy(now, old, 3);
-        Rows rows;
         if (T(FRICTION) == 2) {
             float w[3], s[2];
             w_load(a, spin + ROW_COUPLING, 3, coupling);
-    load_rows(a, spin, &rows);
-            velocities(a, &rows, SPIN_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
+            velocities(a, spin, SPIN_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
             now[0] = clamp_(nfma(w[0], inverse[0], old[0]), -bound, bound);
             float turned = now[0] - old[0];
             float w1 = fma_(coupling[0], turned, w[1]), w2 = fma_(coupling[1], turned, w[2]);
@@ -245,25 +261,29 @@ FN void sweep_spins(Robot *a) {
             now[0] = clamp_(nfma(w, inverse[0], old[0]), -bound, bound);
         }
         sub(now, old, change);
-        w_store(a, spin + SPIN_IMPULSE, 3, now);
         if (T(FRICTION) == 2)
-            apply_rows(a, &rows, SPIN_PARTS(i), path, 0, change, a->y, T(W_JOINTS));
+            apply_rows(a, spin, SPIN_PARTS(i), path, 0, change, velocity_of(a), T(W_JOINTS));
         else
-            apply_first(a, spin, SPIN_PARTS(i), path, change[0], a->y, T(W_JOINTS));
+            apply_first(a, spin, SPIN_PARTS(i), path, change[0], velocity_of(a), T(W_JOINTS));
+        if (IS_FIRST(a)) w_store(a, spin + SPIN_IMPULSE, 3, now);
+        GROUP_SYNC(a);
     }
 }
 
 /* Whether another sweep would change the velocity of a contact by more than the settings allow. */
-FN int unsettled(const Robot *a) {
+FN int unsettled(Robot *a) {
     float beyond = 0.0f;
-    ROLLED for (int i = 0; i < a->num_contacts; i++) {
+    GROUP_SYNC(a);
+    SOLVED_OUT(i, a->num_contacts) {
         int row = ROW(i);
-        float w = first_velocity(a, row, ROW_PARTS(i), ROW_PATH(i), a->y, T(W_JOINTS));
+        float w = first_velocity(a, row, ROW_PARTS(i), path_of_row(a, i), a->y, T(W_JOINTS));
         float old = W(row + ROW_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_TARGET));
         float normal = max_(nfma(missing, W(row + ROW_INVERSE), old), 0.0f);
         float enough = TC(DEEP_PUSH) < W(row + ROW_PUSH) ? TC(SETTLED_CHANGE_DEEP) : TC(SETTLED_CHANGE);
-        beyond = max_(beyond, fma_(fabsf(normal - old), W(row + ROW_DIAGONAL), -enough));
+        W(row + ROW_BEYOND) = fma_(fabsf(normal - old), W(row + ROW_DIAGONAL), -enough);
     }
+    GROUP_SYNC(a);
+    BY_THREE for (int i = 0; i < a->num_contacts; i++) beyond = max_(beyond, W(ROW(i) + ROW_BEYOND));
     return 0.0f < beyond;
 }
 
@@ -271,15 +291,14 @@ FN int unsettled(const Robot *a) {
 FN void sweep_jammed(Robot *a) {
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
+        Path path = path_of_row(a, i);
         float friction[2], old[3], w[3], c[3], inverse[3], across[2], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
         w_load(a, row + ROW_IMPULSE, 3, old);
         w_load(a, row + ROW_COUPLING, 3, c);
         w_load(a, row + ROW_INVERSE, 3, inverse);
         w_load(a, row + ROW_ACROSS, 2, across);
-        Rows rows;
-        load_rows(a, row, &rows);
-        velocities(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, a->y, T(W_JOINTS), w);
+        velocities(a, row, ROW_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
         float square = fma_(old[1], old[1], old[2] * old[2]), bound = friction[1] * old[0];
         bound = bound * bound;
         int at_bound = (bound * TC(LEAST_BOUND) < square) & (square < bound * TC(MOST_BOUND));
@@ -294,7 +313,6 @@ FN void sweep_jammed(Robot *a) {
         int turned = change * W(row + ROW_LAST_CHANGE) < 0.0f;
         float dn = turned ? change * TC(TURN_BACK_SHARE) : change;
         float normal = old[0] + dn;
-        W(row + ROW_LAST_CHANGE) = dn;
         float followed1 = fma_(follow1, dn, old[1]), followed2 = fma_(follow2, dn, old[2]);
         float w1 = fma_(fma_(follow2, c[2], fma_(follow1, across[0], c[0])), dn, w[1]);
         float w2 = fma_(fma_(follow1, c[2], fma_(follow2, across[1], c[1])), dn, w[2]);
@@ -304,15 +322,20 @@ FN void sweep_jammed(Robot *a) {
         int slides = hold * hold < fma_(t1, t1, t2 * t2);
         sliding(W(row + ROW_SLIDE), w1, w2, followed1, followed2, friction[1] * normal, s);
         float now[3] = {normal, slides ? s[0] : t1, slides ? s[1] : t2}, moved[3];
-        w_store(a, row + ROW_IMPULSE, 3, now);
         sub(now, old, moved);
-        apply_rows(a, &rows, ROW_PARTS(i), ROW_PATH(i), 0, moved, a->y, T(W_JOINTS));
+        apply_rows(a, row, ROW_PARTS(i), path, 0, moved, velocity_of(a), T(W_JOINTS));
+        if (IS_FIRST(a)) {
+            W(row + ROW_LAST_CHANGE) = dn;
+            w_store(a, row + ROW_IMPULSE, 3, now);
+        }
+        GROUP_SYNC(a);
     }
 }
 
 /* Marks the bounds that sweeps look at. */
 FN void mark_active(Robot *a) {
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+    GROUP_SYNC(a);
+    SOLVED_OUT(b, T(BLOCKS)) {
         int active = 0;
         for (int i = 0; i < BLOCK; i++) {
             if (NEAR_LIMIT(b, i)) active = 1;
@@ -320,18 +343,22 @@ FN void mark_active(Robot *a) {
         }
         BLOCK_ACTIVE(b) = active;
     }
+    GROUP_SYNC(a);
 }
 
 /* Keeps the sparse velocity in the memory of the moved one. */
 FN void keep_velocity(Robot *a) {
     copy(a->moved, a->y, 6);
-    ROLLED for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
+    take_own(a, moved_of(a));
+    GROUP_SYNC(a);
+    SOLVED_OUT(k, NUM_VELOCITIES) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
+    GROUP_SYNC(a);
 }
 
 /* Whether the velocity differs from the one that was kept by more than the settings allow. */
 FN int changed(const Robot *a) {
     float energy = 0.0f;
-    ROLLED for (int k = 0; k < BLOCK * (T(BLOCKS) > 0 ? T(BLOCKS) : 1); k++) {
+    BY_THREE for (int k = 0; k < NUM_VELOCITIES; k++) {
         float change = W(T(W_JOINTS) + k) - W(T(W_MOVED) + k);
         energy = fma_(change, change, energy);
     }
@@ -350,21 +377,24 @@ FN void push_out(Robot *a) {
         float most = 0.0f;
         ROLLED for (int i = 0; i < a->num_contacts; i++) {
             int row = ROW(i);
-            float w = first_velocity(a, row, ROW_PARTS(i), ROW_PATH(i), a->moved, joints);
+            Path path = path_of_row(a, i);
+            float w = first_velocity(a, row, ROW_PARTS(i), path, a->moved, joints);
             float old = W(row + ROW_PUSH_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_PUSH));
             float push = max_(nfma(missing, W(row + ROW_INVERSE), old), 0.0f), change = push - old;
             most = max_(most, fabsf(change * W(row + ROW_DIAGONAL)));
-            W(row + ROW_PUSH_IMPULSE) = push;
-            apply_first(a, row, ROW_PARTS(i), ROW_PATH(i), change, a->moved, joints);
+            apply_first(a, row, ROW_PARTS(i), path, change, moved_of(a), joints);
+            if (IS_FIRST(a)) W(row + ROW_PUSH_IMPULSE) = push;
+            GROUP_SYNC(a);
         }
-        most = max_(most, sweep_limits(a, 1, a->moved, joints));
+        most = max_(most, sweep_limits(a, 1, moved_of(a), joints));
         if (!(TC(PUSH_TOLERANCE) < most)) break;
     }
-    settle_limits(a, 1, a->moved, joints);
+    settle_limits(a, 1, moved_of(a), joints);
 }
 
 /* Solves the constraints. */
-FN void solve(Robot *a) {
+FN void solve_rows(Robot *a) {
+    take_own(a, velocity_of(a));
     warm_start(a);
     ROLLED for (int sweep = 1; sweep <= T(ITERATIONS); sweep++) {
         int measures = T(MEASURES) && T(CHECK_INTERVAL) > 0 && sweep % T(CHECK_INTERVAL) == 0 && sweep < T(ITERATIONS);
@@ -386,13 +416,24 @@ FN void solve(Robot *a) {
                 sweep_jammed(a);
             }
         }
-        settle_limits(a, 0, a->y, T(W_JOINTS));
+        settle_limits(a, 0, velocity_of(a), T(W_JOINTS));
         if (!unsettled(a)) break;
         mark_active(a);
     }
     if (0.0f < a->violation) {
         keep_velocity(a);
         push_out(a);
+    }
+}
+
+FN void solve(Robot *a) {
+    SYNC;
+    if (SOLVERS > 1 || IS_FIRST(a)) solve_rows(a);
+    SYNC;
+    if (SOLVERS > 1) return;
+    for (int r = 0; r < 6; r++) {
+        a->y[r] = FROM_LANE(a->y[r], 0);
+        a->moved[r] = FROM_LANE(a->moved[r], 0);
     }
 }
 #endif

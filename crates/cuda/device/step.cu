@@ -1,4 +1,4 @@
-/* Steps the robots of a block, one thread per robot. The text is compiled twice: by NVRTC for a GPU,
+/* Steps the robots of blocks, LANES threads per robot. The text is compiled twice: by NVRTC for a GPU,
  * and as C for the host, where a loop stands for the threads. Both give the bits of the scalar
  * kernels of crates/dynamics. */
 #include "step.h"
@@ -7,9 +7,10 @@ typedef struct {
     const int *integers;
     const float *numbers;
     const float *parameters;
-    const float *drive;
+    float *drive; /* rows of the drive, followed by those of the state and of the report */
     float *state;
     float *report;
+    float *host; /* where the host has these rows; null if they are in their places */
     const float *grid;
     float *work;
     int *work_integers;
@@ -18,16 +19,20 @@ typedef struct {
     int capacity; /* contacts that the state's list has room for */
     int first;    /* physics steps of the control step: first to end */
     int end;
+    int warp; /* the first warp that steps robots of the block */
 } Block;
 
 /* Where the columns of a robot begin: in its tile, at its place. */
 FN size_t place(int e, int size) { return (size_t)(e / TILE) * TILE * size + e % TILE; }
 
-/* The columns of a robot do not overlap: a compiler may read one before it has written another. */
-FN void step_columns(const Block *block, const float *p, int ps, const float *d, float *RESTRICT s, float *RESTRICT r,
-                     float *RESTRICT w, int *RESTRICT wi) {
-    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6];
+/* The pointers are not `restrict`: other threads of the robot write the same memory between two
+ * meetings. */
+FN void step_columns(const Block *block, int lane, const float *p, int ps, const float *d, float *row,
+                     float *s, float *r, float *w, int *wi) {
+    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6], y_own[OWN(6)], moved_own[OWN(6)];
     Robot robot, *a = &robot;
+    a->lane = lane;
+    a->group = GROUP_OF_THREAD;
     a->base_rotation = base_rotation;
     a->bias_base = bias_base;
     a->velocity_base = velocity_base;
@@ -35,41 +40,78 @@ FN void step_columns(const Block *block, const float *p, int ps, const float *d,
     a->root = root;
     a->y = y;
     a->moved = moved;
+    a->y_own = y_own;
+    a->moved_own = moved_own;
     a->t = block->integers;
     a->c = block->numbers;
     a->p = p;
     a->ps = ps;
     a->d = d;
+    a->row = row;
     a->s = s;
     a->r = r;
     a->grid = block->grid;
     a->w = w;
     a->wi = wi;
-    take_pressing(a, block->capacity);
-    control_step(a, block->first, block->end);
-    list_pressing(a, block->capacity);
+    control_step(a, block->first, block->end, block->capacity);
 }
 
-FN void step_robot(const Block *block, int e) {
+FN void step_robot(const Block *block, int e, int lane) {
     Robot tables, *a = &tables;
     a->t = block->integers;
-    step_columns(block, block->parameters + (block->shared ? 0 : place(e, T(SIZE_PARAMETERS))),
-                 block->shared ? 1 : TILE, block->drive + place(e, T(SIZE_DRIVE)),
-                 block->state + place(e, T(SIZE_STATE) + LISTED_SIZE * block->capacity),
-                 block->report + place(e, T(SIZE_REPORT)), block->work + place(e, T(SIZE_WORK)),
+    float *work = block->work + place(e, T(SIZE_WORK));
+    step_columns(block, lane, block->parameters + (block->shared ? 0 : place(e, T(SIZE_PARAMETERS))),
+                 block->shared ? 1 : TILE, block->drive + (size_t)e * T(SIZE_DRIVE),
+                 block->state + (size_t)e * (T(SIZE_STATE) + LISTED_SIZE * block->capacity),
+                 work + (size_t)T(W_STATE) * TILE, block->report + (size_t)e * T(SIZE_REPORT), work,
                  block->work_integers + place(e, T(SIZE_WORK_INTEGERS)));
 }
 
 #ifdef __CUDACC__
-/* Where there are more warps than tiles, each takes fewer robots: those of a warp wait for each other. */
-KERNEL void polypod_control_step(Block block) {
-    int thread = (int)(blockIdx.x * blockDim.x + threadIdx.x), warps = (int)(gridDim.x * blockDim.x) / TILE, lanes = TILE;
-    while (lanes > LEAST_LANES && warps * (lanes / 2) >= block.robots) lanes /= 2;
-    int lane = thread % TILE, e = thread / TILE * lanes + lane;
-    if (lane < lanes && e < block.robots) step_robot(&block, e);
+#define IN_GLOBAL_MEMORY(pointer) __builtin_assume(__isGlobal(pointer))
+/* Copies rows: neighbouring threads copy neighbouring numbers. */
+FN void copy_rows(float *to, const float *from, int count, int thread, int threads) {
+    _Pragma("unroll 8") for (int k = thread; k < count; k += threads) to[k] = from[k];
+}
+
+/* Each warp takes 32 / LANES robots of a block, and their rows from the host and back. */
+KERNEL void polypod_control_step(const Block *blocks, int count) {
+    const int robots = 32 / LANES;
+    int warp = (int)(blockIdx.x * (blockDim.x / 32) + threadIdx.x / 32), thread = (int)threadIdx.x % 32, b = 0;
+    while (b + 1 < count && blocks[b + 1].warp <= warp) b++;
+    Block block = blocks[b];
+    /* pointers that come from memory: without this, accesses ask where each leads */
+    IN_GLOBAL_MEMORY(block.integers);
+    IN_GLOBAL_MEMORY(block.numbers);
+    IN_GLOBAL_MEMORY(block.parameters);
+    IN_GLOBAL_MEMORY(block.drive);
+    IN_GLOBAL_MEMORY(block.state);
+    IN_GLOBAL_MEMORY(block.report);
+    IN_GLOBAL_MEMORY(block.grid);
+    IN_GLOBAL_MEMORY(block.work);
+    IN_GLOBAL_MEMORY(block.work_integers);
+    Robot tables, *a = &tables;
+    a->t = block.integers;
+    int begin = (warp - block.warp) * robots, present = block.robots - begin;
+    present = present < robots ? present : robots;
+    int threads = present * LANES;
+    if (thread >= threads) return;
+    int drive = T(SIZE_DRIVE), state = T(SIZE_STATE) + LISTED_SIZE * block.capacity, report = T(SIZE_REPORT);
+    size_t drives = (size_t)begin * drive, states = (size_t)begin * state, reports = (size_t)begin * report;
+    if (block.host) {
+        copy_rows(block.drive + drives, block.host + drives, present * drive, thread, threads);
+        copy_rows(block.state + states, block.host + (block.state - block.drive) + states, present * state, thread, threads);
+        __syncwarp();
+    }
+    step_robot(&block, begin + thread / LANES, thread % LANES);
+    if (block.host) {
+        __syncwarp();
+        copy_rows(block.host + (block.state - block.drive) + states, block.state + states, present * state, thread, threads);
+        copy_rows(block.host + (block.report - block.drive) + reports, block.report + reports, present * report, thread, threads);
+    }
 }
 #else
 void polypod_control_step(const Block *block) {
-    for (int e = 0; e < block->robots; e++) step_robot(block, e);
+    for (int e = 0; e < block->robots; e++) step_robot(block, e, 0);
 }
 #endif

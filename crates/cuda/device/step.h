@@ -7,7 +7,7 @@
 
 /* Selects the position target that each actuator sees: the one from `delay` physics steps ago. */
 FN void select_targets(Robot *a, int substep) {
-    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+    SHARED_OUT(j, T(JOINTS)) {
         float target = D(T(D_TARGET) + j);
         if (T(HAS_DELAY)) {
             ROLLED for (int age = 1; age < T(AGES); age++) {
@@ -35,7 +35,7 @@ FN float table_limit(const float *table, int length, float position) {
 /* PD and feed-forward effort, limited by the motor's torque-speed line and the effort limit. */
 FN void actuate(Robot *a) {
     float dt = TC(DT), look_ahead = dt * TC(LOOK_AHEAD), share = dt * TC(IMPLICIT_STIFFNESS);
-    BY_THREE for (int j = 0; j < T(JOINTS); j++) {
+    SHARED_OUT(j, T(JOINTS)) {
         int joint = T(T_JOINT) + j * JOINT_SIZE, explicit_gains = L(joint + 3), table = L(joint + 4);
         float q = S(T(S_JOINT) + j), v = S(T(S_JOINT_VELOCITY) + j);
         float kp = P(T(P_STIFFNESS) + j), kd = P(T(P_DAMPING) + j), ahead = explicit_gains ? 0.0f : look_ahead;
@@ -74,6 +74,7 @@ FN void add_link_forces(Robot *a) {
         add(torque, wrench, wrench);
         copy(wrench + 3, lin, 3);
         for (int k = 0; k < 6; k++) a->bias_base[k] = a->bias_base[k] - wrench[k];
+        if (!IS_FIRST(a)) continue;
         ROLLED for (int carrier = link; carrier > 0; carrier = L(T(T_JOINT) + (carrier - 1) * JOINT_SIZE)) {
             w_load(a, LINK(carrier) + LINK_AXIS, 6, axis);
             W(T(W_BIAS) + carrier - 1) = W(T(W_BIAS) + carrier - 1) - dot6(axis, wrench);
@@ -84,8 +85,8 @@ FN void add_link_forces(Robot *a) {
 /* Damping of joints and the implicit shares of springs and actuators; then the factors. */
 FN void factorise_step(Robot *a) {
     float dt = TC(DT), share = dt * dt * TC(SPRING_STIFFNESS);
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
-        int block = BLOCK_AT(b);
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
         for (int place = 0; place < BLOCK; place++) {
             if (place >= L(block + 3)) continue;
             int j = L(block + place), at = FACTOR(b) + place;
@@ -103,8 +104,8 @@ FN void factorise_step(Robot *a) {
 FN void find_free_velocity(Robot *a, float *free_base) {
     float dt = TC(DT), force[3], torque[3], com[3], t[3], impulse[6];
     int rhs = T(W_RHS), joints = T(W_JOINTS), moved = T(W_MOVED);
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
-        int block = BLOCK_AT(b);
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
         for (int place = 0; place < BLOCK; place++) {
             float x = 0.0f, velocity = 0.0f;
             if (place < L(block + 3)) {
@@ -121,7 +122,7 @@ FN void find_free_velocity(Robot *a, float *free_base) {
             W(joints + 3 * b + place) = velocity;
         }
     }
-    if (T(BLOCKS) == 0)
+    if (T(BLOCKS) == 0 && IS_FIRST(a))
         for (int k = 0; k < BLOCK; k++) W(joints + k) = W(moved + k) = 0.0f;
     s_load(a, T(S_LINEAR), 3, t);
     mul_vec_transposed(a->base_rotation, t, a->velocity_base + 3);
@@ -137,10 +138,13 @@ FN void find_free_velocity(Robot *a, float *free_base) {
     for (int r = 0; r < 6; r++) a->y[r] = T(FLOATING) ? a->velocity_base[r] : 0.0f;
     to_sparse(a, a->y, joints);
     for (int r = 0; r < 6; r++) free_base[r] = a->moved[r] = a->y[r] + impulse[r];
-    ROLLED for (int k = 0; k < BLOCK * T(BLOCKS); k++) {
-        float x = W(joints + k) + W(rhs + k);
-        W(moved + k) = x;
-        W(rhs + k) = x;
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), at = 3 * b;
+        for (int s = 0; s < BLOCK; s++) {
+            float x = W(joints + at + s) + W(rhs + at + s) * W(ROOT(b) + 2 * s + 1);
+            W(moved + at + s) = x;
+            W(rhs + at + s) = x;
+        }
     }
     to_dense(a, free_base, rhs);
     free_links(a);
@@ -162,13 +166,6 @@ FN int contact_bodies(const Robot *a, int i, int *bodies) {
 FN void report_contacts(Robot *a, int substep, int last) {
     float inverse_dt = 1.0f / TC(DT), impulse[3];
     int normal_force = T(R_NORMAL_FORCE) + substep * T(BODIES);
-    ROLLED for (int k = 0; k < T(BODIES); k++) R(normal_force + k) = 0.0f;
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
-        ROLLED for (int i = 0; i < L(BLOCK_AT(b) + 3); i++) {
-            int takes_part = NEAR_LIMIT(b, i) | HAS_FRICTION(b, i);
-            S(T(S_BOUND) + L(BLOCK_AT(b) + i)) = takes_part ? bound_impulse(a, b, i) + 0.0f : 0.0f;
-        }
-    }
     int list = T(I_PRESSING);
     I(list) = a->num_contacts + a->num_spins;
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
@@ -187,8 +184,6 @@ FN void report_contacts(Robot *a, int substep, int last) {
         for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * k + d) = W(SPIN(i) + SPIN_IMPULSE + d) + 0.0f;
     }
     if (!last) return;
-    ROLLED for (int k = 0; k < 3 * T(BODIES); k++) R(T(R_BODY_FORCE) + k) = 0.0f;
-    ROLLED for (int k = 0; k < T(BODIES) + T(BLOCKS) + 1; k++) W(T(W_DEMANDS) + k) = 0.0f;
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int bodies[2], num = contact_bodies(a, i, bodies);
         float f[3], sum[3], frame[9], axis[3];
@@ -215,6 +210,16 @@ FN void report_contacts(Robot *a, int substep, int last) {
     W(T(W_DEMANDS) + T(BODIES) + T(BLOCKS)) = 0.0f < a->violation ? 1.0f : 0.0f;
 }
 
+/* Clears the sums to which the contacts add their forces. */
+FN void clear_forces(Robot *a, int substep, int last) {
+    SHARED_OUT(body, T(BODIES)) {
+        R(T(R_NORMAL_FORCE) + substep * T(BODIES) + body) = 0.0f;
+        if (substep == 0) TOUCHED(body) = 0;
+        for (int d = 0; d < 3 && last; d++) R(T(R_BODY_FORCE) + 3 * body + d) = 0.0f;
+    }
+    if (last) SHARED_OUT(k, T(BODIES) + T(BLOCKS) + 1) W(T(W_DEMANDS) + k) = 0.0f;
+}
+
 /* Takes over the new velocities, and moves positions with them and the push. */
 FN void integrate(Robot *a) {
     float dt = TC(DT);
@@ -226,10 +231,12 @@ FN void integrate(Robot *a) {
         copy(a->moved, a->y, 6);
         moved = joints;
     }
-    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
+    TREES_OF(tree) OUTWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k);
         for (int place = 0; place < BLOCK; place++) {
             if (place >= L(BLOCK_AT(b) + 3)) continue;
-            int j = L(BLOCK_AT(b) + place);
+            int j = L(BLOCK_AT(b) + place), takes_part = NEAR_LIMIT(b, place) | HAS_FRICTION(b, place);
+            S(T(S_BOUND) + j) = takes_part ? bound_impulse(a, b, place) + 0.0f : 0.0f;
             float now = W(joints + 3 * b + place) + 0.0f, change = now - S(T(S_JOINT_VELOCITY) + j);
             R(T(R_EFFORT) + j) = nfma(W(T(W_SLOPE) + j), change, W(T(W_EFFORT) + j));
             R(T(R_ACCELERATION) + j) = change / dt;
@@ -237,7 +244,7 @@ FN void integrate(Robot *a) {
             S(T(S_JOINT) + j) = fma_(W(moved + 3 * b + place) + 0.0f, dt, S(T(S_JOINT) + j));
         }
     }
-    if (!T(FLOATING)) return;
+    if (!T(FLOATING) || !IS_FIRST(a)) return;
     float u[6], m[6], linear[3], position[3], q[4], turn[3];
     for (int r = 0; r < 6; r++) {
         u[r] = a->y[r] + 0.0f;
@@ -269,7 +276,7 @@ FN void report_sites(Robot *a) {
     mul_vec_transposed(rotation, t, base + 3);
     forward_kinematics(a, base);
     s_load(a, T(S_POSITION), 3, position);
-    ROLLED for (int i = 0; i < T(SITES); i++) {
+    SHARED_OUT(i, T(SITES)) {
         int link = LINK(L(T(T_SITE) + i));
         w_load(a, link, 9, r);
         w_load(a, link + LINK_POSITION, 3, at);
@@ -289,33 +296,40 @@ FN void report_sites(Robot *a) {
 /* One physics step. */
 FN void physics_step(Robot *a, int substep) {
     float q[4], gravity[3], free_base[6];
+    int last = substep + 1 == T(DECIMATION);
     s_load(a, T(S_ROTATION), 4, q);
     quat_to_mat(q, a->base_rotation);
     mul_vec_transposed(a->base_rotation, C(GRAVITY), gravity);
-    equations_of_motion(a, gravity);
-    add_link_forces(a);
+    clear_forces(a, substep, last);
     actuate(a);
+    equations_of_motion(a, gravity);
+    if (T(LINK_FORCES)) add_link_forces(a);
+    SYNC;
     factorise_step(a);
     find_free_velocity(a, free_base);
+    SYNC;
     build_ground_contacts(a, free_base);
     build_pairs(a);
+    SYNC;
     copy(a->y, a->moved, 6);
-    ROLLED for (int k = 0; k < BLOCK * T(BLOCKS); k++) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
+    SHARED_OUT(k, BLOCK * T(BLOCKS)) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
     build_joint_bounds(a);
+    share_violation(a);
     solve(a);
-    report_contacts(a, substep, substep + 1 == T(DECIMATION));
+    if (IS_FIRST(a)) report_contacts(a, substep, last);
     integrate(a);
+    SYNC;
 }
 
 /* Takes over the impulses of the state's list, which has room for `capacity` of them. */
 FN void take_pressing(Robot *a, int capacity) {
-    int count = (int)S(T(S_PRESSING)), list = T(I_PRESSING);
+    int count = (int)a->row[T(S_PRESSING)], list = T(I_PRESSING);
     count = count < capacity ? count : capacity;
-    I(list) = count;
-    ROLLED for (int i = 0; i < count; i++) {
-        int at = T(S_PRESSING) + 1 + LISTED_SIZE * i;
-        I(list + 1 + i) = (int)S(at);
-        for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * i + d) = S(at + 1 + d);
+    if (IS_FIRST(a)) I(list) = count;
+    SHARED_OUT(i, count) {
+        const float *from = a->row + T(S_PRESSING) + 1 + LISTED_SIZE * i;
+        I(list + 1 + i) = (int)from[0];
+        for (int d = 0; d < 3; d++) W(T(W_PRESSING) + 3 * i + d) = from[1 + d];
     }
 }
 
@@ -328,23 +342,26 @@ FN void list_pressing(Robot *a, int capacity) {
         w_load(a, T(W_PRESSING) + 3 * i, 3, impulse);
         if (impulse[0] == 0.0f && impulse[1] == 0.0f && impulse[2] == 0.0f) continue;
         if (count < capacity) {
-            int at = T(S_PRESSING) + 1 + LISTED_SIZE * count;
-            S(at) = (float)I(list + 1 + i);
-            for (int d = 0; d < 3; d++) S(at + 1 + d) = impulse[d];
+            float *to = a->row + T(S_PRESSING) + 1 + LISTED_SIZE * count;
+            to[0] = (float)I(list + 1 + i);
+            copy(to + 1, impulse, 3);
         }
         count++;
     }
-    S(T(S_PRESSING)) = (float)count;
+    a->row[T(S_PRESSING)] = (float)count;
 }
 
-/* The physics steps `first` to `end` of a control step. */
-FN void control_step(Robot *a, int first, int end) {
-    if (first == 0)
-        ROLLED for (int body = 0; body < T(BODIES); body++) TOUCHED(body) = 0;
+/* The physics steps `first` to `end` of a control step, from the row of the state and back. */
+FN void control_step(Robot *a, int first, int end, int capacity) {
+    SHARED_OUT(k, T(S_PRESSING)) S(k) = a->row[k];
+    take_pressing(a, capacity);
+    SYNC;
     ROLLED for (int substep = first; substep < end; substep++) {
         select_targets(a, substep);
         physics_step(a, substep);
     }
+    SHARED_OUT(k, T(S_PRESSING)) a->row[k] = S(k);
+    if (IS_FIRST(a)) list_pressing(a, capacity);
     if (end == T(DECIMATION)) report_sites(a);
 }
 #endif

@@ -1,7 +1,8 @@
-/* Layout of the tables and columns. The build script turns it into constants of Rust. The robots of a
- * block are in tiles of TILE robots, the threads of a warp: [tile][number][robot of the tile], so that
- * a warp reads one line of memory at a time and a number's place is a constant. A column is one number
- * of the robots of a tile, contiguous. */
+/* Layout of tables, columns and rows. The build script turns it into constants of Rust. Parameters and
+ * workspace of a block are in tiles of TILE robots: [tile][number][robot of the tile], so that the
+ * threads of a warp read neighbouring numbers and a number's place is a constant. A column is one number
+ * of the robots of a tile, contiguous. Drive, state and report, which the host writes and reads, are
+ * rows: [robot][number]. */
 #ifndef POLYPOD_TABLES_H
 #define POLYPOD_TABLES_H
 #include "numbers.h"
@@ -16,7 +17,7 @@ enum Integer {
      * the points along an edge, numbers along x and y, and where their heights begin */
     HAS_GRID, GRID_SIZE, GRID_SQUARES = GRID_SIZE + 2, GRID_END = GRID_SQUARES + 7,
     /* lists of integers */
-    T_JOINT, T_BLOCK, T_CARRIER, T_TREE, T_SLOT, T_PATH, T_CONTACT, T_LINK_CONTACTS, T_SITE, T_COLLIDER,
+    T_JOINT, T_BLOCK, T_CARRIER, T_TREE, T_PATH, T_CONTACT, T_LINK_CONTACTS, T_SITE, T_COLLIDER,
     T_LINK_COLLIDERS, T_PAIR, T_GROUP, T_FORCE,
     /* lists in the table of numbers */
     C_AXIS, C_RIM, C_BOX,
@@ -34,9 +35,9 @@ enum Integer {
     /* columns of the workspace */
     W_LINK, W_DYNAMICS, W_BIAS, W_FACTOR, W_COUPLING, W_ROOT, W_RHS, W_EFFORT, W_SLOPE, W_TARGET, W_JOINTS, W_MOVED,
     W_ROW, W_FURTHER, W_SPIN, W_SPIN_FURTHER, W_BOUND, W_BOUND_FURTHER, W_COLLIDER, W_LINK_BOX,
-    W_PRESSING, W_DEMANDS,
+    W_PRESSING, W_DEMANDS, W_STATE, W_TREE, W_GROUND, W_FOUND,
     /* columns of integers of the workspace */
-    I_ROW, I_BOUND, I_PLACED, I_PRESSING, I_TOUCHED,
+    I_ROW, I_BOUND, I_PLACED, I_PRESSING, I_TOUCHED, I_NEXT, I_NEXT_PAIR,
     NUM_INTEGERS
 };
 
@@ -53,8 +54,9 @@ enum Number {
 
 /* Sizes of the entries of lists. */
 enum Size {
-    TILE = 32,
-    LEAST_LANES = 4,  /* fewest robots of a warp */
+    TILE = 8,
+    THREADS_OF_FEW = 4, /* threads that step a robot together on a card, where robots are few */
+    FEW_ROBOTS = 8192,
     LISTED_SIZE = 4,  /* contact, impulse */
     JOINT_SIZE = 6,   /* parent, slides, axis (3: any), explicit, effort table (0: none), its length */
     AXIS_SIZE = 4,    /* direction, sign */
@@ -70,27 +72,39 @@ enum Size {
     LINK_FORCE_SIZE = 10,
     LINK_SIZE = 30, LINK_POSITION = 9, LINK_VELOCITY = 12, LINK_FREE = 18, LINK_AXIS = 24,
     DYNAMICS_SIZE = 22, DYNAMICS_INERTIA = 6, DYNAMICS_FORCE = 16,
-    FACTOR_SIZE = 24, FACTOR_INNER = 3, FACTOR_BASE = 6,
+    TREE_SIZE = 16,   /* inertia and force that a tree brings to the base */
+    FACTOR_SIZE = 42, FACTOR_INNER = 3, FACTOR_BASE = 6,
+    FACTOR_RAW = 24,  /* the base's part before it is divided by the pivots */
     /* rows: base (18), own (9); of a contact then the numbers below */
     ROW_OWN = 18, ROW_COUPLING = 27, ROW_INVERSE = 30, ROW_ACROSS = 33, ROW_STICKING = 35, ROW_DIAGONAL = 38,
     ROW_SOFTNESS, ROW_SLIDE, ROW_TARGET, ROW_IMPULSE, ROW_LAST_CHANGE = ROW_IMPULSE + 3, ROW_PUSH,
-    ROW_PUSH_IMPULSE, ROW_FRAME, ROW_SIZE = ROW_FRAME + 9,
-    ROW_INTEGERS = 3, /* contact, path; pair, or -1 on the ground */
+    ROW_PUSH_IMPULSE, ROW_BEYOND, ROW_FRAME, ROW_SIZE = ROW_FRAME + 9,
+    ROW_INTEGERS = 6, /* contact, path; pair, or -1 on the ground; the path's parts, place and list */
     SPIN_ROLL = 33, SPIN_IMPULSE = 34, SPIN_SIZE = 37,
     BOUND_FRICTION = 30, BOUND_JOINT = 33, BOUND_JOINT_SIZE = 8, BOUND_SIZE = 57,
-    BOUND_INTEGERS = 8, /* limits, active; of each joint limits, has friction */
+    BOUND_INTEGERS = 10, /* limits, active; of each joint limits, has friction; the path's parts, list */
     PLACED_SIZE = 19, PLACED_HALF = 3, PLACED_RADIUS = 6, PLACED_ROTATION = 7, PLACED_EXTENT = 16,
-    LINK_BOX_SIZE = 7
+    LINK_BOX_SIZE = 7,
+    GROUND_SIZE = 5, GROUND_UP = 1, GROUND_HIGHEST = 4, /* of a link near the ground: its height first */
+    /* a contact that was found: its point, normal and gap, the axes of its frame */
+    FOUND_POINT = 0, FOUND_NORMAL = 3, FOUND_GAP = 6, FOUND_FRAME = 7, FOUND_SIZE = 16
 };
 
-/* A robot of a block: its tables and its place in the columns. */
+/* A robot of a block: its tables and its place in the columns. LANES threads step it together. All
+ * make the same choices and hold the same numbers outside of memory. Where work on trees, links,
+ * contacts or blocks does not depend on each other, each thread takes its share of it. What one thread
+ * writes, others read after SYNC, where all threads of a warp must come: it stands in no loop or branch
+ * in which robots of a morphology differ. */
 typedef struct {
+    int lane;       /* the thread's number among those of the robot */
+    unsigned group; /* the threads of the robot in its warp */
     const int *t;   /* table of integers */
     const float *c; /* table of numbers */
     const float *p; /* parameters: of its own, or shared by the block */
     int ps;         /* from one parameter to the next */
-    float *s, *r, *w; /* state, report, workspace */
-    const float *d;   /* drive */
+    float *s, *w;     /* state, workspace */
+    float *row, *r;   /* rows of the state and the report */
+    const float *d;   /* row of the drive */
     const float *grid; /* heights [x][y], then the squares' largest heights */
     int *wi;          /* integers of the workspace */
     /* numbers of the present physics step that every part reads: arrays apart from the pointers, so
@@ -98,6 +112,7 @@ typedef struct {
     float *base_rotation, *bias_base, *velocity_base;
     float *g, *root;  /* base block of the factor (36), and roots of its diagonal (12) */
     float *y, *moved; /* base's part of the sparse velocity */
+    float *y_own, *moved_own; /* the numbers of it that this thread brings up to date in the solver */
     float violation, compliance;
     int num_contacts, num_spins;
 } Robot;
@@ -118,11 +133,25 @@ typedef struct {
 #endif
 #define P(k) READ(a->p + (k) * a->ps)
 #define S(k) (a->s[(k) * TILE])
-#define D(k) READ(a->d + (k) * TILE)
-#define R(k) (a->r[(k) * TILE])
+#define D(k) (a->d[k])
+#define R(k) (a->r[k])
 #define W(k) (a->w[(k) * TILE])
 #define I(k) (a->wi[(k) * TILE])
 #define TOUCHED(k) I(T(I_TOUCHED) + (k))
+/* whether this thread does the work that is done once */
+#define IS_FIRST(a) ((a)->lane == 0)
+/* the share of this thread of some numbered things */
+#define SHARED_OUT(i, end) ROLLED for (int i = a->lane; i < (end); i += LANES)
+/* how many of some numbers a thread of the solver has, every SOLVERS-th */
+#define OWN(count) (((count) + SOLVERS - 1) / SOLVERS)
+#define SOLVER(a) (SOLVERS == 1 ? 0 : (a)->lane)
+#define SOLVED_OUT(i, end) ROLLED for (int i = SOLVER(a); i < (end); i += SOLVERS)
+/* the trees of this thread; the blocks of a tree, from the base to the leaves and back */
+#define TREES_OF(tree) ROLLED for (int tree = T(TREES) - 1 - a->lane; tree >= 0; tree -= LANES)
+#define TREE_COUNT(tree) L(T(T_TREE) + 2 * (tree))
+#define TREE_BLOCK(tree, k) L(L(T(T_TREE) + 2 * (tree) + 1) + (k))
+#define OUTWARD(tree, k) ROLLED for (int k = 0; k < TREE_COUNT(tree); k++)
+#define INWARD(tree, k) ROLLED for (int k = TREE_COUNT(tree) - 1; k >= 0; k--)
 
 FN void p_load(const Robot *a, int at, int n, float *o) {
     for (int i = 0; i < n; i++) o[i] = P(at + i);

@@ -1,7 +1,7 @@
-//! Robots of one morphology in tiles of columns, `[tile][number][robot of the tile]`, and the way
-//! between them and the types of `polypod-dynamics`.
+//! Robots of one morphology as a device has them, and the way between them and the types of
+//! `polypod-dynamics`: drive, state and report in rows, parameters and scratch memory in tiles of
+//! columns, `[tile][number][robot of the tile]`.
 
-use std::hint::black_box;
 use std::ops::Range;
 
 use polypod_dynamics::{Drive, Parameters, Report, State, StepSettings, Topology};
@@ -9,7 +9,7 @@ use polypod_dynamics::{Drive, Parameters, Report, State, StepSettings, Topology}
 use crate::layout::*;
 use crate::tables::{Scene, Tables, Unsupported};
 
-/// Robots of a tile: the threads of a warp.
+/// Robots of a tile of parameters.
 pub const ROBOTS_OF_TILE: usize = TILE;
 
 /// Tables of a morphology, the number of its robots, and the room of their lists of impulses.
@@ -58,8 +58,8 @@ impl Shape {
 
     /// Ranges of drive, state and report in the memory that the host and the device exchange.
     pub fn ranges(&self) -> [Range<usize>; 3] {
-        let [drive, state, report] = [self.tables.sizes.drive, self.state_size(), self.tables.sizes.report]
-            .map(|size| size * TILE * self.tiles());
+        let [drive, state, report] =
+            [self.tables.sizes.drive, self.state_size(), self.tables.sizes.report].map(|size| size * self.robots);
         [0..drive, drive..drive + state, drive + state..drive + state + report]
     }
 
@@ -78,12 +78,12 @@ impl Shape {
         self.tables.at(DECIMATION)
     }
 
-    /// The tiles of a block.
-    pub fn columns<'a>(&'a self, exchanged: &'a mut [f32]) -> Columns<'a> {
+    /// The rows of a block.
+    pub fn exchange<'a>(&'a self, exchanged: &'a mut [f32]) -> Exchange<'a> {
         let [drive, state, _] = self.ranges().map(|range| range.len());
         let (drive, rest) = exchanged.split_at_mut(drive);
         let (state, report) = rest.split_at_mut(state);
-        Columns { shape: self, drive, state, report }
+        Exchange { shape: self, drive, state, report }
     }
 
     /// Numbers that differ from robot to robot, of all robots, where all have the same ones.
@@ -100,31 +100,28 @@ impl Shape {
 
     /// Writes a robot's parameters among those of all robots.
     pub fn write_parameters(&self, all: &mut [f32], robot: usize, parameters: &[f32]) {
-        write(&mut all[self.parameters_of_tile(robot / TILE)][robot % TILE..], parameters);
+        let columns = &mut all[self.parameters_of_tile(robot / TILE)][robot % TILE..];
+        write_columns(columns, parameters);
     }
 }
 
-/// Numbers of a line of the cache.
-const NUMBERS_OF_LINE: usize = 16;
-
-/// Numbers of a robot that begin in the first place of these columns.
-#[inline]
-fn write<'a>(columns: &mut [f32], numbers: impl IntoIterator<Item = &'a f32>) {
-    for (place, number) in columns.iter_mut().step_by(TILE).zip(numbers) {
-        *place = *number;
-    }
+fn write_columns(columns: &mut [f32], numbers: &[f32]) {
+    columns.iter_mut().step_by(TILE).zip(numbers).for_each(|(place, number)| *place = *number);
 }
 
 #[inline]
-fn read<'a>(columns: &[f32], numbers: impl IntoIterator<Item = &'a mut f32>) {
-    for (number, place) in numbers.into_iter().zip(columns.iter().step_by(TILE)) {
-        *number = *place;
-    }
+fn write<'a>(to: &mut [f32], numbers: impl IntoIterator<Item = &'a f32>) {
+    to.iter_mut().zip(numbers).for_each(|(place, number)| *place = *number);
 }
 
-/// Columns of neighbouring tiles of a block: drive and state, which the device reads, and state
-/// and report, which it writes.
-pub struct Columns<'a> {
+#[inline]
+fn read<'a>(from: &[f32], numbers: impl IntoIterator<Item = &'a mut f32>) {
+    numbers.into_iter().zip(from).for_each(|(number, place)| *number = *place);
+}
+
+/// Rows of neighbouring robots of a block: drive and state, which the device reads, and state and
+/// report, which it writes.
+pub struct Exchange<'a> {
     shape: &'a Shape,
     drive: &'a mut [f32],
     state: &'a mut [f32],
@@ -147,48 +144,30 @@ pub struct Motion<P, J> {
     pub bounds: J,
 }
 
-impl<'a> Columns<'a> {
-    /// The first tiles, and the rest.
+impl<'a> Exchange<'a> {
+    /// The first robots, and the rest.
     #[must_use]
-    pub fn split_at(self, tiles: usize) -> (Self, Self) {
+    pub fn split_at(self, robots: usize) -> (Self, Self) {
         let Self { shape, drive, state, report } = self;
-        let (drive, drives) = drive.split_at_mut(tiles * TILE * shape.tables.sizes.drive);
-        let (state, states) = state.split_at_mut(tiles * TILE * shape.state_size());
-        let (report, reports) = report.split_at_mut(tiles * TILE * shape.tables.sizes.report);
+        let (drive, drives) = drive.split_at_mut(robots * shape.tables.sizes.drive);
+        let (state, states) = state.split_at_mut(robots * shape.state_size());
+        let (report, reports) = report.split_at_mut(robots * shape.tables.sizes.report);
         (Self { shape, drive, state, report }, Self { shape, drive: drives, state: states, report: reports })
     }
 
     #[inline]
     fn state_place(&self, robot: usize, name: usize) -> usize {
-        (robot / TILE * self.shape.state_size() + self.shape.tables.at(name)) * TILE + robot % TILE
+        robot * self.shape.state_size() + self.shape.tables.at(name)
     }
 
     #[inline]
     fn drive_place(&self, robot: usize, name: usize) -> usize {
-        (robot / TILE * self.shape.tables.sizes.drive + self.shape.tables.at(name)) * TILE + robot % TILE
+        robot * self.shape.tables.sizes.drive + self.shape.tables.at(name)
     }
 
     #[inline]
     fn report_place(&self, robot: usize, name: usize, at: usize) -> usize {
-        (robot / TILE * self.shape.tables.sizes.report + self.shape.tables.at(name) + at) * TILE + robot % TILE
-    }
-
-    /// Brings the tile that begins with a robot into the cache, for writing or for reading. The
-    /// processor foresees lines that are read in their order, and not those of a robot's numbers.
-    #[inline]
-    pub fn foresee(&self, robot: usize, writes: bool) {
-        if !robot.is_multiple_of(TILE) {
-            return;
-        }
-        let (outer, size) = if writes {
-            (&*self.drive, self.shape.tables.sizes.drive)
-        } else {
-            (&*self.report, self.shape.tables.sizes.report)
-        };
-        for (numbers, size) in [(outer, size), (&*self.state, self.shape.state_size())] {
-            let tile = numbers.iter().skip(robot * size).take(TILE * size);
-            black_box(tile.step_by(NUMBERS_OF_LINE).fold(0, |all, number| all ^ number.to_bits()));
-        }
+        robot * self.shape.tables.sizes.report + self.shape.tables.at(name) + at
     }
 
     /// Writes a robot's motion.
@@ -231,7 +210,7 @@ impl<'a> Columns<'a> {
         let first = self.state_place(robot, S_PRESSING);
         let mut count = 0;
         for (contact, [x, y, z]) in impulses.take(self.shape.capacity) {
-            write(&mut self.state[first + TILE * (1 + LISTED_SIZE * count)..], &[contact as f32, x, y, z]);
+            write(&mut self.state[first + 1 + LISTED_SIZE * count..], &[contact as f32, x, y, z]);
             count += 1;
         }
         self.state[first] = count as f32;
@@ -249,7 +228,7 @@ impl<'a> Columns<'a> {
         let first = self.state_place(robot, S_PRESSING);
         (0..self.num_impulses(robot).min(self.shape.capacity)).map(move |i| {
             let mut entry = [0.0; LISTED_SIZE];
-            read(&self.state[first + TILE * (1 + LISTED_SIZE * i)..], &mut entry);
+            read(&self.state[first + 1 + LISTED_SIZE * i..], &mut entry);
             (entry[0] as u32, [entry[1], entry[2], entry[3]])
         })
     }
@@ -281,7 +260,7 @@ impl<'a> Columns<'a> {
     /// point, force and torque.
     #[inline]
     pub fn write_link_force(&mut self, robot: usize, key: usize, acts: f32, vectors: [&[f32; 3]; 3]) {
-        let at = self.drive_place(robot, D_LINK_FORCE) + TILE * LINK_FORCE_SIZE * key;
+        let at = self.drive_place(robot, D_LINK_FORCE) + LINK_FORCE_SIZE * key;
         write(&mut self.drive[at..], std::iter::once(&acts).chain(vectors.into_iter().flatten()));
     }
 
@@ -333,11 +312,11 @@ pub struct Parts<'a> {
     pub numbers: &'a [f32],
     /// Parameters: tiles, or one list for all robots.
     pub parameters: &'a [f32],
-    /// Tiles of the drive.
+    /// Rows of the drive.
     pub drive: &'a [f32],
-    /// Tiles of the state.
+    /// Rows of the state.
     pub state: &'a mut [f32],
-    /// Tiles of the report.
+    /// Rows of the report.
     pub report: &'a mut [f32],
     /// Heights of the ground; empty on a plane.
     pub grid: &'a [f32],
@@ -394,9 +373,9 @@ impl Block {
         &self.shape
     }
 
-    /// The tiles of drive, state and report.
-    pub fn columns(&mut self) -> Columns<'_> {
-        self.shape.columns(&mut self.exchanged)
+    /// The rows of drive, state and report.
+    pub fn exchange(&mut self) -> Exchange<'_> {
+        self.shape.exchange(&mut self.exchanged)
     }
 
     /// Gives all robots the same parameters, which are held once.
@@ -423,8 +402,8 @@ impl Block {
 
     /// Writes a robot's state.
     pub fn write_state(&mut self, robot: usize, state: &State<f32>) {
-        let mut columns = self.shape.columns(&mut self.exchanged);
-        columns.write_motion(
+        let mut rows = self.shape.exchange(&mut self.exchanged);
+        rows.write_motion(
             robot,
             &Motion {
                 position: &state.position,
@@ -436,13 +415,13 @@ impl Block {
             },
         );
         let impulses = state.impulse.iter().enumerate().filter(|(_, impulse)| impulse.iter().any(|&x| x != 0.0));
-        columns.write_impulses(robot, impulses.map(|(contact, &impulse)| (contact as u32, impulse)));
+        rows.write_impulses(robot, impulses.map(|(contact, &impulse)| (contact as u32, impulse)));
     }
 
     /// Reads a robot's state.
     pub fn read_state(&mut self, robot: usize, state: &mut State<f32>) {
-        let columns = self.shape.columns(&mut self.exchanged);
-        columns.read_motion(
+        let rows = self.shape.exchange(&mut self.exchanged);
+        rows.read_motion(
             robot,
             Motion {
                 position: &mut state.position,
@@ -454,28 +433,28 @@ impl Block {
             },
         );
         state.impulse.fill([0.0; 3]);
-        columns.impulses(robot).for_each(|(contact, impulse)| state.impulse[contact as usize] = impulse);
+        rows.impulses(robot).for_each(|(contact, impulse)| state.impulse[contact as usize] = impulse);
         state.find_pressing();
     }
 
     /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its
     /// forces on links are those with the keys of the block's [`Scene`], in their order.
     pub fn write_drive(&mut self, robot: usize, drive: &Drive<f32>, origin: [f32; 2]) {
-        let mut columns = self.shape.columns(&mut self.exchanged);
-        columns.write_targets(robot, drive.targets.iter().flatten(), &drive.delay);
-        columns.write_feedforward(robot, &drive.feedforward);
-        columns.write_surroundings(robot, &drive.base_force, &drive.base_torque, &origin);
+        let mut rows = self.shape.exchange(&mut self.exchanged);
+        rows.write_targets(robot, drive.targets.iter().flatten(), &drive.delay);
+        rows.write_feedforward(robot, &drive.feedforward);
+        rows.write_surroundings(robot, &drive.base_force, &drive.base_torque, &origin);
         for (key, force) in drive.link_forces.iter().enumerate() {
-            columns.write_link_force(robot, key, force.acts, [&force.point, &force.force, &force.torque]);
+            rows.write_link_force(robot, key, force.acts, [&force.point, &force.force, &force.torque]);
         }
     }
 
     /// Writes a robot's report, as the device would, without demands and touched bodies.
     pub fn write_report(&mut self, robot: usize, report: &Report<f32>) {
-        let columns = self.shape.columns(&mut self.exchanged);
+        let rows = self.shape.exchange(&mut self.exchanged);
         let mut put = |name: usize, numbers: &[f32]| {
-            let at = columns.report_place(robot, name, 0);
-            write(&mut columns.report[at..], numbers);
+            let at = rows.report_place(robot, name, 0);
+            write(&mut rows.report[at..], numbers);
         };
         put(R_EFFORT, &report.joint_effort);
         put(R_ACCELERATION, &report.joint_acceleration);
@@ -488,20 +467,21 @@ impl Block {
     /// Reads a robot's report.
     pub fn read_report(&mut self, robot: usize, report: &mut Report<f32>) {
         let Report { joint_effort, joint_acceleration, body_force, normal_force, touched, demands, .. } = report;
-        let columns = self.shape.columns(&mut self.exchanged);
-        columns.read_joints(robot, joint_effort, joint_acceleration);
+        let rows = self.shape.exchange(&mut self.exchanged);
+        rows.read_joints(robot, joint_effort, joint_acceleration);
         for (body, force) in body_force.iter_mut().enumerate() {
-            *force = columns.body_force(robot, body);
+            *force = rows.body_force(robot, body);
         }
         for (step, forces) in normal_force.iter_mut().enumerate() {
             for (body, force) in forces.iter_mut().enumerate() {
-                *force = columns.normal_force(robot, step, body);
+                *force = rows.normal_force(robot, step, body);
             }
         }
-        columns.read_sites(robot, &mut report.site_position, &mut report.site_velocity);
+        rows.read_sites(robot, &mut report.site_position, &mut report.site_velocity);
         let tables = &self.shape.tables;
         let place = |size: usize, name: usize| (robot / TILE * size + tables.at(name)) * TILE + robot % TILE;
-        read(&self.work[place(tables.sizes.work, W_DEMANDS)..], demands);
+        let of_work = self.work[place(tables.sizes.work, W_DEMANDS)..].iter().step_by(TILE);
+        demands.iter_mut().zip(of_work).for_each(|(demand, place)| *demand = *place);
         let all = &self.work_integers[place(tables.sizes.work_integers, I_TOUCHED)..];
         for (touched, place) in touched.iter_mut().zip(all.iter().step_by(TILE)) {
             *touched = *place != 0;
@@ -511,7 +491,7 @@ impl Block {
     /// The arrays of the block.
     pub fn parts(&mut self) -> Parts<'_> {
         let Self { shape, parameters, shared, exchanged, work, work_integers } = self;
-        let Columns { drive, state, report, .. } = shape.columns(exchanged);
+        let Exchange { drive, state, report, .. } = shape.exchange(exchanged);
         let Tables { integers, numbers, grid, .. } = &shape.tables;
         let (robots, shared, capacity) = (shape.robots, *shared, shape.capacity);
         Parts {

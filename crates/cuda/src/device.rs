@@ -1,6 +1,6 @@
 //! Devices, as an engine sees them: memory for blocks of robots, and their steps.
 
-use crate::columns::{Columns, Shape};
+use crate::columns::{Exchange, Shape};
 use crate::tables::Unsupported;
 
 /// Why a device cannot be used, or no longer.
@@ -75,11 +75,35 @@ pub trait Device: Send + Sync {
     /// Name of the device.
     fn name(&self) -> &str;
 
+    /// Prepares steps of that many robots in all, before their memory is allocated. The first call
+    /// counts.
+    ///
+    /// # Errors
+    /// A compiler that refuses the text.
+    fn prepare(&self, _robots: usize) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
     /// Memory for a block. Drive, state and parameters are zero.
     ///
     /// # Errors
     /// Too little memory, or a device that is lost.
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError>;
+
+    /// Begins the control steps of all blocks that [`start`](DeviceBlock::start) noted since the
+    /// last call.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn launch(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    /// Seconds between the beginning and the end of the last launch, where the device measures
+    /// them.
+    fn seconds(&self) -> Option<f64> {
+        None
+    }
 }
 
 /// The robots of one morphology on a device. An error means that the device is lost.
@@ -87,9 +111,9 @@ pub trait DeviceBlock: Send + Sync {
     /// Tables and sizes.
     fn shape(&self) -> &Shape;
 
-    /// Memory that the host shares with the device. Only between [`finish`](Self::finish) and
-    /// [`start`](Self::start) does the host read and write it.
-    fn columns(&mut self) -> Columns<'_>;
+    /// Rows that the host shares with the device. Only between [`finish`](Self::finish) and
+    /// [`Device::launch`] does the host read and write them.
+    fn exchange(&mut self) -> Exchange<'_>;
 
     /// Takes over parameters: one list for all robots if they are `shared`, else the tiles of
     /// `all` that have changed.
@@ -98,8 +122,8 @@ pub trait DeviceBlock: Send + Sync {
     /// Too little memory, or a device that is lost.
     fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError>;
 
-    /// Begins a control step: drive and state to the device, the physics steps, state and report
-    /// to the host.
+    /// Notes a control step for the next [`Device::launch`]: drive and state to the device, the
+    /// physics steps, state and report to the host.
     ///
     /// # Errors
     /// A device that is lost.
@@ -114,11 +138,5 @@ pub trait DeviceBlock: Send + Sync {
     /// Whether steps are as fast as they will be; asking begins what there is to prepare.
     fn is_ready(&mut self) -> bool {
         true
-    }
-
-    /// Seconds of upload, kernel and download of the last control step, where the device measures
-    /// them.
-    fn seconds(&self) -> Option<[f64; 3]> {
-        None
     }
 }

@@ -3,29 +3,24 @@
 
 use std::ffi::c_int;
 use std::ptr::NonNull;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
-use cudarc::driver::sys::{CUdevice_attribute, CUdeviceptr, CUevent_flags, CUresult};
+use cudarc::driver::sys::{CUdeviceptr, CUevent_flags, CUresult};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaSlice, CudaStream, DevicePtr, DeviceRepr, DriverError, LaunchConfig, PushKernelArg,
-    result, sys,
+    CudaContext, CudaEvent, CudaSlice, CudaStream, DevicePtr, DriverError, LaunchConfig, PushKernelArg, result, sys,
 };
 
-use crate::columns::{Columns, ROBOTS_OF_TILE, Shape};
+use crate::columns::{Exchange, Shape};
 use crate::device::{Device, DeviceBlock, DeviceError};
-use crate::kernels::{Kernels, Own};
+use crate::kernels::{Kernel, Kernels, Own, locked};
 use crate::nvrtc;
 
 /// The first version of CUDA whose drivers have all functions that are called here.
 const OLDEST_CUDA: i32 = 11040;
 /// The first generation of cards that the text is compiled for.
 const OLDEST_CAPABILITY: (i32, i32) = (8, 0);
-/// Warps that a multiprocessor steps at a time.
-const WARPS_AT_A_TIME: usize = 4;
-/// Most warps that share a tile. They are a block of the kernel, for a line of memory is theirs
-/// together.
-const MOST_WARPS: usize = 4;
+/// Threads of a warp, which are a block of the kernel.
+const THREADS: usize = 32;
 /// Bytes that the context and the kernel take beyond the robots' memory.
 const RESERVED: usize = 64 << 20;
 
@@ -39,6 +34,7 @@ struct Arguments {
     drive: CUdeviceptr,
     state: CUdeviceptr,
     report: CUdeviceptr,
+    host: CUdeviceptr,
     grid: CUdeviceptr,
     work: CUdeviceptr,
     work_integers: CUdeviceptr,
@@ -47,10 +43,8 @@ struct Arguments {
     capacity: c_int,
     first: c_int,
     end: c_int,
+    warp: c_int,
 }
-
-// SAFETY: plain numbers, laid out as the text of the device has them
-unsafe impl DeviceRepr for Arguments {}
 
 pub(crate) fn call(call: &'static str) -> impl Fn(DriverError) -> DeviceError {
     move |error| {
@@ -119,35 +113,133 @@ pub struct Card {
     context: Arc<CudaContext>,
     kernels: Arc<Kernels>,
     name: String,
-    timed: bool,
-    multiprocessors: usize,
-    /// Tiles of all blocks.
-    tiles: Arc<AtomicUsize>,
+    queue: Arc<Queue>,
     /// The ground that was placed last, which all blocks share.
     ground: Mutex<Option<(Arc<[f32]>, Arc<CudaSlice<f32>>)>>,
 }
 
+/// The control steps of all blocks. One launch of the common kernel takes all its blocks, so that
+/// the card is full and the host calls the driver once.
+struct Queue {
+    stream: Arc<CudaStream>,
+    launch: Mutex<Launch>,
+    /// Streams of own kernels, which step side by side.
+    others: Mutex<Vec<Arc<CudaStream>>>,
+    /// Before and after a launch, where steps are measured.
+    events: Option<[CudaEvent; 2]>,
+}
+
+/// Blocks that wait for a launch.
+#[derive(Default)]
+struct Launch {
+    waiting: Vec<(Kernel, Arguments)>,
+    /// Arguments of the launches that run, which the card reads from the host's memory.
+    arguments: Option<Pinned<Arguments>>,
+}
+
 impl Card {
-    /// Opens the card and compiles the text for it. `timed`: blocks measure their steps.
+    /// Opens the card. `timed`: launches are measured.
     ///
     /// # Errors
     /// No driver or card, or too old ones; no compiler.
     pub fn open(timed: bool) -> Result<Self, DeviceError> {
         let (context, Found { name, .. }) = context()?;
-        // SAFETY: each block has its own stream, which orders all work on its memory
+        // SAFETY: one stream orders all work on the blocks' memory
         unsafe { context.disable_event_tracking() };
         let kernels = Arc::new(Kernels::new(&context)?);
-        let attribute = CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT;
-        let multiprocessors = context.attribute(attribute).map_err(call("cuDeviceGetAttribute"))?;
-        let multiprocessors = usize::try_from(multiprocessors).unwrap_or(1);
-        Ok(Self { context, kernels, name, timed, multiprocessors, tiles: Arc::default(), ground: Mutex::default() })
+        let event = || context.new_event(Some(CUevent_flags::CU_EVENT_DEFAULT)).map_err(call("cuEventCreate"));
+        let events = if timed { Some([event()?, event()?]) } else { None };
+        let stream = context.new_stream().map_err(call("cuStreamCreate"))?;
+        let queue = Arc::new(Queue { stream, launch: Mutex::default(), others: Mutex::default(), events });
+        Ok(Self { context, kernels, name, queue, ground: Mutex::default() })
     }
+}
+
+/// Neighbouring blocks of one launch.
+struct Group<'a> {
+    kernel: &'a Kernel,
+    place: usize,
+    count: usize,
+    warps: usize,
+}
+
+impl Queue {
+    /// Waits for the card.
+    fn finish(&self) -> Result<(), DeviceError> {
+        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let others = locked(&self.others);
+        let mut streams = std::iter::once(&self.stream).chain(&*others);
+        streams.try_for_each(|stream| stream.synchronize()).map_err(call("cuStreamSynchronize"))
+    }
+
+    /// The stream of the n-th launch of a control step.
+    fn stream_of(&self, n: usize) -> Result<Arc<CudaStream>, DeviceError> {
+        let mut others = locked(&self.others);
+        while others.len() < n {
+            others.push(self.stream.context().new_stream().map_err(call("cuStreamCreate"))?);
+        }
+        Ok(n.checked_sub(1).map_or_else(|| self.stream.clone(), |place| others[place].clone()))
+    }
+
+    fn note(&self, event: usize) -> Result<(), DeviceError> {
+        let event = self.events.as_ref().map(|events| &events[event]);
+        event.map_or(Ok(()), |event| event.record(&self.stream)).map_err(call("cuEventRecord"))
+    }
+
+    /// Launches the kernels of the blocks that wait, those of one kernel together.
+    fn launch(&self) -> Result<(), DeviceError> {
+        // the card must not read arguments that are written
+        self.finish()?;
+        let Launch { waiting, arguments } = &mut *locked(&self.launch);
+        let len = waiting.len();
+        if len == 0 {
+            return Ok(());
+        }
+        let mut written = match arguments.take().filter(|of_last| of_last.len >= len) {
+            Some(of_last) => of_last,
+            None => Pinned::new(self.stream.context(), len).map_err(call("cuMemHostAlloc"))?,
+        };
+        let start = written.address();
+        let mut launches: Vec<Group> = Vec::new();
+        for (place, (kernel, block)) in waiting.iter().enumerate() {
+            let together = launches.last().is_some_and(|group| kernel.is_common && group.kernel.is_common);
+            if !together {
+                launches.push(Group { kernel, place, count: 0, warps: 0 });
+            }
+            let Some(group) = launches.last_mut() else { continue };
+            written.numbers()[place] = Arguments { warp: whole(group.warps), ..*block };
+            group.count += 1;
+            group.warps += usize::try_from(block.robots).unwrap_or(0).div_ceil(THREADS / kernel.threads);
+        }
+        self.note(0)?;
+        for (n, Group { kernel, place, count, warps }) in launches.into_iter().enumerate() {
+            let blocks = start + (size_of::<Arguments>() * place) as CUdeviceptr;
+            let config = LaunchConfig {
+                grid_dim: (u32::try_from(warps).unwrap_or(u32::MAX), 1, 1),
+                block_dim: (THREADS as u32, 1, 1),
+                shared_mem_bytes: 0,
+            };
+            let count = whole(count);
+            // SAFETY: the arrays have the sizes of the tables' lists, which bound every index of
+            // the text
+            unsafe { self.stream_of(n)?.launch_builder(&kernel.function).arg(&blocks).arg(&count).launch(config) }
+                .map_err(call("cuLaunchKernel"))?;
+        }
+        *arguments = Some(written);
+        waiting.clear();
+        self.note(1)
+    }
+}
+
+/// Sizes are counted in integers of 32 bits, as `Tables` checks.
+fn whole(x: usize) -> c_int {
+    c_int::try_from(x).unwrap_or(c_int::MAX)
 }
 
 impl Card {
     /// The heights of the ground on the card.
     fn grid(&self, heights: &Arc<[f32]>, stream: &Arc<CudaStream>) -> Result<Arc<CudaSlice<f32>>, DriverError> {
-        let mut ground = self.ground.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut ground = locked(&self.ground);
         if let Some((_, placed)) = ground.as_ref().filter(|(known, _)| Arc::ptr_eq(known, heights)) {
             return Ok(placed.clone());
         }
@@ -164,6 +256,10 @@ impl Device for Card {
         &self.name
     }
 
+    fn prepare(&self, robots: usize) -> Result<(), DeviceError> {
+        self.kernels.prepare(robots).map(drop)
+    }
+
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
         let [work, work_integers] = shape.scratch();
         let exchanged = shape.exchanged();
@@ -177,62 +273,63 @@ impl Device for Card {
             CUresult::CUDA_ERROR_OUT_OF_MEMORY => too_little.clone(),
             _ => call("cuMemAlloc")(error),
         };
-        let stream = self.context.new_stream().map_err(call("cuStreamCreate"))?;
+        let stream = &self.queue.stream;
         let integers = stream.clone_htod(&shape.tables.integers).map_err(memory)?;
         let numbers = stream.clone_htod(&shape.tables.numbers).map_err(memory)?;
-        let grid = self.grid(&shape.tables.grid, &stream).map_err(memory)?;
-        let host = Pinned::new(&self.context, exchanged).map_err(memory)?;
-        let events = if self.timed {
-            let event = || self.context.new_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
-            let events = (0..4).map(|_| event()).collect::<Result<Vec<_>, _>>();
-            events.map_err(call("cuEventCreate"))?
-        } else {
-            Vec::new()
-        };
         let block = CardBlock {
             integers,
             numbers,
-            grid,
+            grid: self.grid(&shape.tables.grid, stream).map_err(memory)?,
             parameters: stream.alloc_zeros(1).map_err(memory)?,
             shared: true,
             exchanged: stream.alloc_zeros(exchanged).map_err(memory)?,
             work: stream.alloc_zeros(work.max(1)).map_err(memory)?,
             work_integers: stream.alloc_zeros(work_integers.max(1)).map_err(memory)?,
-            host,
+            host: Pinned::new(&self.context, exchanged).map_err(memory)?,
             kernels: self.kernels.clone(),
-            warps: WARPS_AT_A_TIME * self.multiprocessors,
-            tiles: self.tiles.clone(),
             own: self.kernels.of_new_block(&shape.tables),
             steps: 0,
-            stream,
-            events,
+            queue: self.queue.clone(),
             shape,
         };
-        self.tiles.fetch_add(block.shape.tiles(), Ordering::Relaxed);
-        block.stream.synchronize().map_err(call("cuStreamSynchronize"))?;
+        self.queue.finish()?;
         Ok(Box::new(block))
+    }
+
+    fn launch(&self) -> Result<(), DeviceError> {
+        self.queue.launch()
+    }
+
+    fn seconds(&self) -> Option<f64> {
+        let [before, after] = self.queue.events.as_ref()?;
+        before.elapsed_ms(after).ok().map(|ms| f64::from(ms) / 1000.0)
     }
 }
 
 /// Memory of the host that the card reads and writes directly.
-struct Pinned {
-    start: NonNull<f32>,
+struct Pinned<T> {
+    start: NonNull<T>,
     len: usize,
     context: Arc<CudaContext>,
 }
 
 // SAFETY: the memory belongs to this value alone
-unsafe impl Send for Pinned {}
+unsafe impl<T: Send> Send for Pinned<T> {}
 // SAFETY: shared references give no access to it
-unsafe impl Sync for Pinned {}
+unsafe impl<T: Sync> Sync for Pinned<T> {}
 
-impl Pinned {
+/// Types for which zeros are values, and which need no drop.
+trait Plain: Copy {}
+impl Plain for f32 {}
+impl Plain for Arguments {}
+
+impl<T: Plain> Pinned<T> {
     /// Numbers that are zero.
     fn new(context: &Arc<CudaContext>, len: usize) -> Result<Self, DriverError> {
         context.bind_to_thread()?;
         // SAFETY: the memory is freed in `drop`, and zeros are numbers
         let start = unsafe {
-            let start = result::malloc_host(size_of::<f32>() * len, 0)?.cast::<f32>();
+            let start = result::malloc_host(size_of::<T>() * len, sys::CU_MEMHOSTALLOC_DEVICEMAP)?.cast::<T>();
             start.write_bytes(0, len);
             start
         };
@@ -240,13 +337,18 @@ impl Pinned {
         Ok(Self { start, len, context: context.clone() })
     }
 
-    fn numbers(&mut self) -> &mut [f32] {
+    /// The address, which is the same for the host and the card.
+    fn address(&self) -> CUdeviceptr {
+        self.start.as_ptr().expose_provenance() as CUdeviceptr
+    }
+
+    fn numbers(&mut self) -> &mut [T] {
         // SAFETY: the numbers are there until `drop`, and the borrow is the only one
         unsafe { std::slice::from_raw_parts_mut(self.start.as_ptr(), self.len) }
     }
 }
 
-impl Drop for Pinned {
+impl<T> Drop for Pinned<T> {
     fn drop(&mut self) {
         // a card that is lost has nothing to free
         if self.context.bind_to_thread().is_ok() {
@@ -256,7 +358,7 @@ impl Drop for Pinned {
     }
 }
 
-/// A block on a card. Its stream orders transfers and steps, so that blocks step side by side.
+/// A block on a card.
 struct CardBlock {
     shape: Shape,
     integers: CudaSlice<i32>,
@@ -267,50 +369,29 @@ struct CardBlock {
     exchanged: CudaSlice<f32>,
     work: CudaSlice<f32>,
     work_integers: CudaSlice<i32>,
-    host: Pinned,
+    /// The rows, which the kernel reads and writes where they are.
+    host: Pinned<f32>,
     kernels: Arc<Kernels>,
-    /// Warps that the card steps at a time.
-    warps: usize,
-    /// Tiles of all blocks.
-    tiles: Arc<AtomicUsize>,
     own: Option<Own>,
     /// Control steps so far.
     steps: u32,
-    stream: Arc<CudaStream>,
-    /// Before the upload, the kernel and the download, and after it, where steps are measured.
-    events: Vec<CudaEvent>,
+    queue: Arc<Queue>,
 }
 
 impl Drop for CardBlock {
     fn drop(&mut self) {
-        self.tiles.fetch_sub(self.shape.tiles(), Ordering::Relaxed);
-        // the transfers use the memory of the host
-        let _ = self.stream.synchronize();
+        // a launch uses the memory
+        let _ = self.queue.finish();
     }
 }
 
 impl CardBlock {
-    fn note(&self, event: usize) -> Result<(), DeviceError> {
-        self.events.get(event).map_or(Ok(()), |event| event.record(&self.stream)).map_err(call("cuEventRecord"))
-    }
-
-    /// Warps that share a tile: a robot waits for those of its warp, so that few robots take more
-    /// warps than they need.
-    fn warps_of_tile(&self) -> usize {
-        let mut warps = MOST_WARPS;
-        while warps > 1 && self.tiles.load(Ordering::Relaxed) * warps > self.warps {
-            warps /= 2;
-        }
-        warps
-    }
-
     fn arguments(&self) -> Arguments {
-        let float = |slice: &CudaSlice<f32>| slice.device_ptr(&self.stream).0;
-        let integer = |slice: &CudaSlice<i32>| slice.device_ptr(&self.stream).0;
+        let stream = &self.queue.stream;
+        let float = |slice: &CudaSlice<f32>| slice.device_ptr(stream).0;
+        let integer = |slice: &CudaSlice<i32>| slice.device_ptr(stream).0;
         let at = |number: usize| float(&self.exchanged) + (size_of::<f32>() * number) as CUdeviceptr;
         let [drive, state, report] = self.shape.ranges().map(|range| at(range.start));
-        // the tables count in integers of the same size
-        let whole = |x: usize| c_int::try_from(x).unwrap_or(c_int::MAX);
         Arguments {
             integers: integer(&self.integers),
             numbers: float(&self.numbers),
@@ -318,6 +399,7 @@ impl CardBlock {
             drive,
             state,
             report,
+            host: self.host.address(),
             grid: float(&self.grid),
             work: float(&self.work),
             work_integers: integer(&self.work_integers),
@@ -326,6 +408,7 @@ impl CardBlock {
             capacity: whole(self.shape.capacity),
             first: 0,
             end: whole(self.shape.decimation()),
+            warp: 0,
         }
     }
 }
@@ -335,69 +418,40 @@ impl DeviceBlock for CardBlock {
         &self.shape
     }
 
-    fn columns(&mut self) -> Columns<'_> {
+    fn exchange(&mut self) -> Exchange<'_> {
         let Self { shape, host, .. } = self;
-        shape.columns(host.numbers())
+        shape.exchange(host.numbers())
     }
 
     fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError> {
-        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let stream = &self.queue.stream;
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
         self.shared = shared;
         if shared || self.parameters.len() != all.len() {
-            self.parameters = self.stream.clone_htod(all).map_err(call("cuMemcpyHtoD"))?;
+            self.parameters = stream.clone_htod(all).map_err(call("cuMemcpyHtoD"))?;
         } else {
             for &tile in changed {
                 let part = self.shape.parameters_of_tile(tile);
                 let mut to = self.parameters.slice_mut(part.clone());
-                self.stream.memcpy_htod(&all[part], &mut to).map_err(call("cuMemcpyHtoD"))?;
+                stream.memcpy_htod(&all[part], &mut to).map_err(call("cuMemcpyHtoD"))?;
             }
         }
-        self.stream.synchronize().map_err(call("cuStreamSynchronize"))
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
-        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
         let kernel = self.kernels.for_step(&self.shape.tables, &mut self.own, self.steps)?;
         self.steps = self.steps.saturating_add(1);
         let arguments = self.arguments();
-        let [_, state, report] = self.shape.ranges();
-        let (at, queue) = (arguments.drive, self.stream.cu_stream());
-        self.note(0)?;
-        // SAFETY: the pinned memory has as many numbers as the device's, and nobody uses it before
-        // `finish`
-        unsafe { result::memcpy_htod_async(at, &self.host.numbers()[..state.end], queue) }
-            .map_err(call("cuMemcpyHtoDAsync"))?;
-        self.note(1)?;
-        let threads = ROBOTS_OF_TILE * self.warps_of_tile();
-        let config = LaunchConfig {
-            grid_dim: (u32::try_from(self.shape.tiles()).unwrap_or(u32::MAX), 1, 1),
-            block_dim: (threads as u32, 1, 1),
-            shared_mem_bytes: 0,
-        };
-        // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
-        // text
-        unsafe { self.stream.launch_builder(&kernel).arg(&arguments).launch(config) }
-            .map_err(call("cuLaunchKernel"))?;
-        self.note(2)?;
-        let from = arguments.state;
-        // SAFETY: as above
-        unsafe { result::memcpy_dtoh_async(&mut self.host.numbers()[state.start..report.end], from, queue) }
-            .map_err(call("cuMemcpyDtoHAsync"))?;
-        self.note(3)
+        locked(&self.queue.launch).waiting.push((kernel, arguments));
+        Ok(())
     }
 
     fn finish(&mut self) -> Result<(), DeviceError> {
-        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
-        self.stream.synchronize().map_err(call("cuStreamSynchronize"))
+        self.queue.finish()
     }
 
     fn is_ready(&mut self) -> bool {
         self.kernels.is_ready(&self.shape.tables, &mut self.own)
-    }
-
-    fn seconds(&self) -> Option<[f64; 3]> {
-        let [before, kernel, after, end] = &self.events[..] else { return None };
-        let seconds = |from: &CudaEvent, to: &CudaEvent| from.elapsed_ms(to).ok().map(|ms| f64::from(ms) / 1000.0);
-        Some([seconds(before, kernel)?, seconds(kernel, after)?, seconds(after, end)?])
     }
 }

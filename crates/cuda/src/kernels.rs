@@ -12,6 +12,7 @@ use cudarc::driver::{CudaContext, CudaFunction};
 use cudarc::nvrtc::Ptx;
 
 use crate::device::DeviceError;
+use crate::layout::THREADS_OF_FEW;
 use crate::nvrtc;
 use crate::tables::Tables;
 
@@ -44,6 +45,14 @@ enum Choice {
     WhenReady,
 }
 
+/// A kernel of a block.
+pub(crate) struct Kernel {
+    pub(crate) function: CudaFunction,
+    pub(crate) is_common: bool,
+    /// Threads that step a robot together.
+    pub(crate) threads: usize,
+}
+
 /// Own kernels that wait for a thread, and the threads at work.
 #[derive(Default)]
 struct Work {
@@ -54,7 +63,9 @@ struct Work {
 /// The kernels of a card.
 pub(crate) struct Kernels {
     context: Arc<CudaContext>,
-    common: CudaFunction,
+    /// The common kernel, and the threads that step a robot together, once the number of robots is
+    /// known.
+    common: OnceLock<(CudaFunction, usize)>,
     choice: Choice,
     /// Own kernels by the headers of their tables.
     known: Mutex<HashMap<String, Own>>,
@@ -62,15 +73,15 @@ pub(crate) struct Kernels {
     threads: Mutex<Vec<JoinHandle<()>>>,
 }
 
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Kernels {
-    /// Compiles the common kernel.
+    /// Kernels of a card, which are compiled later.
     ///
     /// # Errors
-    /// No compiler, or one that refuses the text; another value of the variable.
+    /// No compiler; another value of the variable.
     pub(crate) fn new(context: &Arc<CudaContext>) -> Result<Self, DeviceError> {
         let choice = match std::env::var(VARIABLE).as_deref() {
             Ok("own") => Choice::Own,
@@ -78,14 +89,30 @@ impl Kernels {
             Ok("common") | Err(_) => Choice::Common,
             Ok(other) => return Err(DeviceError::Kernels(other.to_owned())),
         };
+        if !nvrtc::is_present() {
+            return Err(DeviceError::NoCompiler);
+        }
         Ok(Self {
             context: context.clone(),
-            common: load(context, nvrtc::compile(None)?)?,
+            common: OnceLock::new(),
             choice,
             known: Mutex::default(),
             work: Arc::default(),
             threads: Mutex::default(),
         })
+    }
+
+    /// Compiles the common kernel for a number of robots. The first call counts.
+    ///
+    /// # Errors
+    /// A compiler that refuses the text.
+    pub(crate) fn prepare(&self, robots: usize) -> Result<usize, DeviceError> {
+        if let Some((_, threads)) = self.common.get() {
+            return Ok(*threads);
+        }
+        let threads = nvrtc::threads_of_robot(robots);
+        let function = load(&self.context, nvrtc::compile(None, threads)?)?;
+        Ok(self.common.get_or_init(|| (function, threads)).1)
     }
 
     /// The own kernel of a new block, where the first step waits for it: those of all blocks are
@@ -98,21 +125,19 @@ impl Kernels {
     ///
     /// # Errors
     /// The own kernel does not compile, where the step must wait for it.
-    pub(crate) fn for_step(
-        &self,
-        tables: &Tables,
-        own: &mut Option<Own>,
-        steps: u32,
-    ) -> Result<CudaFunction, DeviceError> {
+    pub(crate) fn for_step(&self, tables: &Tables, own: &mut Option<Own>, steps: u32) -> Result<Kernel, DeviceError> {
+        let threads = self.prepare(1)?;
+        let (function, _) = self.common.get().ok_or(DeviceError::NoCompiler)?;
+        let common = || Kernel { function: function.clone(), is_common: true, threads };
         if self.choice == Choice::Common || (steps < WORTH && self.choice == Choice::WhenReady && own.is_none()) {
-            return Ok(self.common.clone());
+            return Ok(common());
         }
         let own = own.get_or_insert_with(|| self.request(tables));
         let found = match self.choice {
             Choice::Own => own.wait().clone()?,
             _ => own.get().and_then(|own| own.clone().ok().flatten()),
         };
-        Ok(found.unwrap_or_else(|| self.common.clone()))
+        Ok(found.map_or_else(common, |function| Kernel { function, is_common: false, threads }))
     }
 
     /// Whether a block's own kernel is there, or will never be; asking for it begins its
@@ -123,6 +148,7 @@ impl Kernels {
 
     /// The own kernel of some tables, which is compiled aside.
     fn request(&self, tables: &Tables) -> Own {
+        let robot_threads = self.common.get().map_or(THREADS_OF_FEW, |(_, threads)| *threads);
         let mut known = locked(&self.known);
         let Some(header) = tables.header().filter(|header| known.len() < MOST || known.contains_key(header)) else {
             return Own::new(Ok(None).into());
@@ -140,11 +166,11 @@ impl Kernels {
             drop(work);
             drop(known);
             let (context, work) = (self.context.clone(), self.work.clone());
-            let spawned = thread::Builder::new().spawn(move || compile_waiting(&context, &work));
+            let spawned = thread::Builder::new().spawn(move || compile_waiting(&context, &work, robot_threads));
             match spawned {
                 Ok(thread) => locked(&self.threads).push(thread),
                 // without a further thread the caller compiles
-                Err(_) => compile_waiting(&self.context, &self.work),
+                Err(_) => compile_waiting(&self.context, &self.work, robot_threads),
             }
         }
         own
@@ -152,7 +178,7 @@ impl Kernels {
 }
 
 /// Compiles own kernels until none waits.
-fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>) {
+fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>, threads: usize) {
     loop {
         let mut all = locked(work);
         let Some((header, own)) = all.waiting.pop_front() else {
@@ -160,7 +186,7 @@ fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>) {
             return;
         };
         drop(all);
-        let compile = || nvrtc::compile(Some(&header)).and_then(|ptx| load(context, ptx)).map(Some);
+        let compile = || nvrtc::compile(Some(&header), threads).and_then(|ptx| load(context, ptx)).map(Some);
         // a step may wait for the outcome, whatever it is
         let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(compile));
         let made = made.unwrap_or_else(|_| Err(DeviceError::Compiler("the thread that compiles panicked".into())));

@@ -6,6 +6,7 @@
 
 use std::collections::BTreeMap;
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -13,6 +14,7 @@ use libloading::{Library, Symbol};
 
 use crate::DEVICE_TEXT;
 use crate::device::DeviceError;
+use crate::layout::{FEW_ROBOTS, THREADS_OF_FEW};
 
 /// Environment variable that names the library.
 const VARIABLE: &str = "POLYPOD_NVRTC";
@@ -20,6 +22,8 @@ const VARIABLE: &str = "POLYPOD_NVRTC";
 /// `tools/ptx.py` compiles with the same ones and reads the result.
 const OPTIONS: [&CStr; 5] =
     [c"--gpu-architecture=compute_80", c"--fmad=false", c"--ftz=false", c"--prec-div=true", c"--prec-sqrt=true"];
+/// Environment variable: threads that step a robot together, a power of two.
+const THREADS_VARIABLE: &str = "POLYPOD_CUDA_THREADS";
 /// Option that makes it the text of the one morphology whose tables [`HEADER`] holds.
 const FOR_ONE: &CStr = c"-DPOLYPOD_TABLES";
 /// Name of the header in `device/tables.h`.
@@ -29,10 +33,19 @@ const HEADER: &str = "morphology.h";
 const VERSION: &str = ".version 7.0";
 /// A hint that older versions lack; it changes no result.
 const HINT: &str = ".pragma \"used_bytes_mask";
+/// Last line of a file in the cache: a file without it is cut short.
+const LAST: &str = "// end\n";
 /// Names of a library of the system.
 const NAMES: [&str; 5] = ["libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so", "nvrtc64_130_0.dll", "nvrtc64_120_0.dll"];
 
 static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
+
+/// Threads that step each of some robots together. Few robots do not fill a card.
+pub(crate) fn threads_of_robot(robots: usize) -> usize {
+    let asked = std::env::var(THREADS_VARIABLE).ok().and_then(|threads| threads.parse().ok());
+    let asked = asked.filter(|threads| [1, 2, 4, 8, 16].contains(threads));
+    asked.unwrap_or(if robots <= FEW_ROBOTS { THREADS_OF_FEW } else { 1 })
+}
 
 /// Folders of Python packages, in which the wheels of NVIDIA have `nvidia/*/lib/libnvrtc.so.*`.
 /// The first call counts.
@@ -122,23 +135,94 @@ impl Drop for Compilation<'_> {
 }
 
 /// PTX of the text of the device for all morphologies, or for the one whose tables are the
-/// `header`. A process compiles each once.
+/// `header`, with that many threads for each robot. A process compiles that for all morphologies
+/// once. PTX stays in the user's cache, where
+/// later processes find it.
 ///
 /// # Errors
 /// NVRTC is not there, or it refuses the text.
-pub fn compile(header: Option<&str>) -> Result<String, DeviceError> {
-    static KNOWN: Mutex<BTreeMap<Option<String>, String>> = Mutex::new(BTreeMap::new());
-    let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    let header_of = header.map(str::to_owned);
-    if let Some(ptx) = known().get(&header_of) {
+pub fn compile(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
+    static COMMON: Mutex<BTreeMap<usize, String>> = Mutex::new(BTreeMap::new());
+    if header.is_some() {
+        return compile_or_find(header, threads);
+    }
+    let mut common = COMMON.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(ptx) = common.get(&threads) {
         return Ok(ptx.clone());
     }
-    let ptx = compile_text(header)?;
-    known().insert(header_of, ptx.clone());
+    let ptx = compile_or_find(None, threads)?;
+    common.insert(threads, ptx.clone());
     Ok(ptx)
 }
 
-fn compile_text(header: Option<&str>) -> Result<String, DeviceError> {
+fn compile_or_find(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
+    let kept = library().and_then(|library| Kept::new(library, header, threads));
+    if let Some(ptx) = kept.as_ref().and_then(Kept::read) {
+        return Ok(ptx);
+    }
+    let ptx = compile_text(header, threads)?;
+    if let Some(kept) = kept {
+        kept.write(&ptx);
+    }
+    Ok(ptx)
+}
+
+/// PTX in the user's cache. A file holds everything that the PTX was made of in front of it, so
+/// that none is taken for another.
+struct Kept {
+    made_of: String,
+    file: PathBuf,
+}
+
+impl Kept {
+    /// The file of a text; absent where the user has no cache.
+    fn new(library: &Library, header: Option<&str>, threads: usize) -> Option<Self> {
+        let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+        let cache = variable("XDG_CACHE_HOME")
+            .or_else(|| variable("LOCALAPPDATA"))
+            .or_else(|| variable("HOME").map(|home| home.join(".cache")))?;
+        let (mut major, mut minor) = (0, 0);
+        // SAFETY: NVRTC has this function in all versions
+        let version: Symbol<'_, unsafe extern "C" fn(*mut c_int, *mut c_int) -> c_int> =
+            unsafe { library.get(b"nvrtcVersion\0") }.ok()?;
+        // SAFETY: both numbers live
+        if unsafe { version(&raw mut major, &raw mut minor) } != 0 {
+            return None;
+        }
+        let mut made_of = format!("NVRTC {major}.{minor}\n");
+        for option in OPTIONS {
+            made_of += &option.to_string_lossy();
+            made_of.push('\n');
+        }
+        made_of += &format!("{threads} threads\n");
+        for (name, text) in DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header))) {
+            made_of += &format!("{name} {}\n{text}", text.len());
+        }
+        let mut hasher = DefaultHasher::new();
+        made_of.hash(&mut hasher);
+        let file = cache.join("polypod").join(format!("step-{:016x}.ptx", hasher.finish()));
+        Some(Self { made_of, file })
+    }
+
+    fn read(&self) -> Option<String> {
+        let text = std::fs::read_to_string(&self.file).ok()?;
+        text.strip_prefix(&self.made_of).filter(|ptx| ptx.contains(LAST)).map(str::to_owned)
+    }
+
+    /// Writes the file, or leaves it: a cache that is full or read-only costs time alone.
+    fn write(&self, ptx: &str) {
+        let Some(folder) = self.file.parent() else { return };
+        let of_this_process = self.file.with_extension(format!("{}.tmp", std::process::id()));
+        let written = std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&of_this_process, format!("{}{ptx}{LAST}", self.made_of)))
+            .and_then(|()| std::fs::rename(&of_this_process, &self.file));
+        if written.is_err() {
+            let _ = std::fs::remove_file(&of_this_process);
+        }
+    }
+}
+
+fn compile_text(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
     let library = library().ok_or(DeviceError::NoCompiler)?;
     let mut compilation = Compilation { library, program: std::ptr::null_mut() };
     let texts = DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header)));
@@ -173,7 +257,10 @@ fn compile_text(header: Option<&str>) -> Result<String, DeviceError> {
         return Err(failed(format!("error {created} of nvrtcCreateProgram")));
     }
     let own = header.map(|_| FOR_ONE);
-    let options: Vec<_> = OPTIONS.into_iter().chain(own).map(CStr::as_ptr).collect();
+    let Ok(threads) = CString::new(format!("-DLANES={threads}")) else {
+        return Err(failed("an option holds a zero"));
+    };
+    let options: Vec<_> = OPTIONS.into_iter().chain(own).chain([&*threads]).map(CStr::as_ptr).collect();
     type Compile = unsafe extern "C" fn(Program, c_int, *const *const c_char) -> c_int;
     let compile = compilation.function::<Compile>(c"nvrtcCompileProgram")?;
     // SAFETY: the options are texts that end with a zero
@@ -184,4 +271,31 @@ fn compile_text(header: Option<&str>) -> Result<String, DeviceError> {
     let ptx = compilation.text(c"nvrtcGetPTXSize", c"nvrtcGetPTX")?;
     let lines = ptx.lines().filter(|line| !line.trim_start().starts_with(HINT));
     Ok(lines.map(|line| if line.starts_with(".version ") { VERSION } else { line }.to_owned() + "\n").collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_cache_returns_whole_files_made_of_the_same_text() {
+        let folder = std::env::temp_dir().join(format!("polypod-ptx-{}", std::process::id()));
+        let kept = |made_of: &str| Kept { made_of: made_of.into(), file: folder.join("a").join("step.ptx") };
+        let one = kept("one\n");
+        assert_eq!(one.read(), None);
+        one.write(".version 7.0\n");
+        assert_eq!(one.read().as_deref(), Some(".version 7.0\n// end\n"));
+        // another text with the same file name compiles again, and replaces it
+        let other = kept("other\n");
+        assert_eq!(other.read(), None);
+        other.write(".version 7.1\n");
+        assert_eq!((one.read(), other.read().is_some()), (None, true));
+        let whole = std::fs::read_to_string(&one.file).unwrap();
+        std::fs::write(&one.file, &whole[..whole.len() - 3]).unwrap();
+        assert_eq!(other.read(), None);
+        assert_eq!(std::fs::read_dir(folder.join("a")).unwrap().count(), 1);
+        std::fs::remove_dir_all(&folder).unwrap();
+        // a folder that cannot be written costs nothing
+        Kept { made_of: String::new(), file: PathBuf::from("/proc/none/step.ptx") }.write("");
+    }
 }

@@ -40,7 +40,7 @@ pub struct Scene<'a> {
     pub link_forces: &'a [(usize, bool)],
 }
 
-/// Tables and the sizes of the columns.
+/// Tables, and the sizes of columns and rows.
 #[derive(Clone, Debug)]
 pub struct Tables {
     /// Table of integers.
@@ -49,11 +49,11 @@ pub struct Tables {
     pub numbers: Vec<f32>,
     /// Heights of the grid, `[x][y]`, then the largest heights of its squares; empty on a plane.
     pub grid: Arc<[f32]>,
-    /// Numbers of a robot in each kind of column.
+    /// Numbers of a robot in each list.
     pub sizes: Sizes,
 }
 
-/// Numbers of a robot in each kind of column.
+/// Numbers of a robot in each list.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Sizes {
     /// Parameters.
@@ -229,7 +229,7 @@ impl Lists {
         }
     }
 
-    /// Blocks, their carriers, the trees that the base carries, and each link's place in its tree.
+    /// Blocks, their carriers, and the trees that the base carries.
     fn blocks(&mut self, topology: &Topology, header: &mut [usize]) {
         let blocks = topology.blocks();
         let carriers = self.here();
@@ -250,13 +250,6 @@ impl Lists {
                 None => trees.push(vec![b]),
             }
         }
-        let mut slots = vec![0; topology.num_links()];
-        for tree in &trees {
-            let joints = tree.iter().flat_map(|&b| &blocks[b].joints[..blocks[b].len]);
-            for (place, joint) in joints.enumerate() {
-                slots[joint + 1] = place + 1;
-            }
-        }
         let mut first = self.here();
         let starts = trees.iter().flat_map(|tree| {
             first += tree.len();
@@ -267,8 +260,6 @@ impl Lists {
         header[T_TREE] = self.here();
         header[TREES] = trees.len();
         self.integers.extend(starts);
-        header[T_SLOT] = self.here();
-        self.integers.extend(slots);
     }
 
     /// Paths of the links to the base, then those of the pairs of links. Returns the number of
@@ -524,6 +515,7 @@ fn place_columns(
     let (rows, colliders) = (num_rows(topology), topology.colliders.len());
     let impulses = topology.num_impulses();
     let spins = impulses - rows;
+    let trees = header[TREES];
     let couplings = topology.blocks().iter().map(|block| block.num_carriers).sum::<usize>();
     let mut columns = |lists: &[(usize, usize)]| {
         let mut places = Places { integers: header, next: 0 };
@@ -593,7 +585,6 @@ fn place_columns(
     ]);
     let work = columns(&[
         (W_LINK, LINK_SIZE * links),
-        // a tree has no more links than the robot
         (W_DYNAMICS, DYNAMICS_SIZE * links),
         (W_BIAS, joints),
         (W_FACTOR, FACTOR_SIZE * blocks),
@@ -615,6 +606,10 @@ fn place_columns(
         (W_LINK_BOX, LINK_BOX_SIZE * links),
         (W_PRESSING, 3 * impulses),
         (W_DEMANDS, bodies + blocks + 1),
+        (W_STATE, state),
+        (W_TREE, TREE_SIZE * trees),
+        (W_GROUND, GROUND_SIZE * links),
+        (W_FOUND, FOUND_SIZE * rows),
     ]);
     let work_integers = columns(&[
         (I_ROW, ROW_INTEGERS * rows),
@@ -622,6 +617,8 @@ fn place_columns(
         (I_PLACED, links),
         (I_PRESSING, 1 + impulses),
         (I_TOUCHED, bodies),
+        (I_NEXT, rows),
+        (I_NEXT_PAIR, topology.pairs.len() + rows - contacts),
     ]);
     Sizes { parameters, state, drive, report, work, work_integers, impulses }
 }

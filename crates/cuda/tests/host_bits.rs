@@ -11,7 +11,7 @@ use polypod::dynamics::{
     NetworkProgram, Parameters, Report, State, StepSettings, Terrain, Topology, Workspace,
 };
 use polypod_cuda::{Block, Heights, Scene, Unsupported};
-use polypod_cuda_host::{OwnText, step_on_host};
+use polypod_cuda_host::{OwnText, step_by_threads, step_on_host};
 use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground, with_springs_on_a_slope};
 
 /// Robots of a block.
@@ -56,8 +56,9 @@ struct Met {
 }
 
 /// Steps the robots of a morphology on both sides and compares them after each physics step. The
-/// last robot of the block reads separate parameters. With `has_own`, robots take every
-/// second physics step with the text of their morphology alone.
+/// last robot of the block reads separate parameters. Robots take every fourth physics step by
+/// several threads each. With `has_own` they take every second one with the text of their
+/// morphology alone.
 fn compare(
     robot: &Robot,
     contact: ContactSettings,
@@ -101,6 +102,7 @@ fn compare(
             let substeps = substep..substep + 1;
             let stepped = match &own {
                 Some(own) if substep % 2 == 1 => own.step(&mut block, substeps),
+                _ if substep == 2 => step_by_threads(&mut block, substeps),
                 _ => step_on_host(&mut block, substeps),
             };
             assert!(stepped);

@@ -61,4 +61,4 @@ pub use settings::{ContactSettings, SWEEPS, SolverSettings, StepSettings};
 pub use shared_array::SharedArray;
 pub use state::{Drive, LinkForce, LinkState, State, Workspace};
 pub use step::ControlStep;
-pub use terrain::{HeightGrid, LARGE_GROUP, Terrain};
+pub use terrain::{HeightGrid, LARGE_GROUP, Squares, Terrain};

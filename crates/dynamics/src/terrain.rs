@@ -49,13 +49,13 @@ pub(super) enum Near {
 
 /// Largest heights of squares and the squares around them; empty until they are noted.
 #[derive(Clone, Debug, Default, PartialEq)]
-struct Squares {
+pub struct Squares {
     /// Points along an edge.
-    stride: usize,
+    pub stride: usize,
     /// Number of squares along x and y.
-    num: [usize; 2],
+    pub num: [usize; 2],
     /// Row by row, m.
-    highest: Vec<f32>,
+    pub highest: Vec<f32>,
 }
 
 /// Ground below the robots of a pack.
@@ -117,6 +117,11 @@ impl HeightGrid {
     pub fn note_squares(&mut self) {
         self.squares = HEIGHT_SQUARES.map(|edge| self.squares_of(((edge / self.cell).round() as usize).max(1)));
         self.highest = self.squares[0].highest.iter().copied().fold(f32::MIN, f32::max);
+    }
+
+    /// Squares for links, and smaller ones for contact candidates.
+    pub fn squares(&self) -> &[Squares; 2] {
+        &self.squares
     }
 
     fn squares_of(&self, stride: usize) -> Squares {

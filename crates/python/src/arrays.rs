@@ -12,9 +12,7 @@ use super::exceptions::{type_error, value_error};
 
 /// The arrays that Python sees, allocated once: copies of the batch, made with Python's lock held.
 ///
-/// Systems that wrote here directly would save 0.3 % of a control step of `velocity_flat` and 1.5 %
-/// of one of sixteen morphologies. They would need unsafe code, and a thread of Python could read
-/// an array while a step writes it.
+/// `src/README.md` says why systems do not write here directly, and what the copies cost.
 pub(super) struct BatchArrays {
     /// Two arrays in turn, so that a learner may store the present one after the next step.
     pub(super) observations: [Py<PyArray2<f32>>; 2],

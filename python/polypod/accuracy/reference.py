@@ -387,7 +387,8 @@ def _add_ground(mj: Any, spec: Any, ground: Ground | None, dt: float) -> None:
         surface.quat = _turn_z_to(np.array(ground.normal))
     else:
         surface = _height_field(mj, spec, ground.heights)
-        # the default search of MuJoCo 4.0 gives wrong normals for soles on the prisms of level heights: robots spin
+        # the default search of MuJoCo 4.0 gives wrong normals for soles on the prisms of level
+        # heights: robots spin
         spec.option.disableflags |= int(mj.mjtDisableBit.mjDSBL_NATIVECCD)
     surface.contype, surface.conaffinity = 0, 1
     for geom in spec.geoms:

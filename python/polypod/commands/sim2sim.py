@@ -1,11 +1,17 @@
 """`polypod sim2sim`."""
 
 import dataclasses
+import functools
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from polypod import _core
 from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, check_names, names, write_json
+
+if TYPE_CHECKING:
+    from polypod.evaluation.tracking import ClipResult
+    from polypod.sim2sim import Options
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +43,8 @@ class Sim2sim:
     command: Velocity = None
     """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
     dt: Annotated[float | None, arg(metavar="S")] = None
-    """MuJoCo's physics step, s. Default: the task's, on terrain 0.002; with --model the file's."""
+    """MuJoCo's physics step, s. Default: the task's, on terrain and with motions 0.002; with
+    --model the file's."""
     integrator: Annotated[Literal["implicitfast", "RK4"] | None, arg(metavar="{implicitfast,RK4}")] = None
     """Integrator of MuJoCo. Default: implicitfast; with --model the file's."""
     friction: Annotated[float | None, arg(metavar="MU")] = None
@@ -120,20 +127,7 @@ class Sim2sim:
             self._refuse_commands(asks)
         if asks == "motions":
             return self._with_motions(checkpoint, robots)
-        usual = sim2sim.Options()
-        options = sim2sim.Options(
-            envs_per_robot=usual.envs_per_robot if self.num_envs is None else self.num_envs,
-            steps=self.steps,
-            seed=self.seed,
-            command=self.command,
-            commands="task" if self.commands == "task" else "walking",
-            dt=self.dt,
-            integrator=self.integrator or usual.integrator,
-            friction=self.friction,
-            soft_contact=self.soft_contact,
-            overrides=self.set,
-            terms=self.terms,
-        )
+        options = self._options()
         with Progress(14) as bars:
 
             def progress(name: str, done: int, total: int) -> None:
@@ -151,11 +145,29 @@ class Sim2sim:
         write_json(self.json, comparison.as_dict())
         return 0 if comparison.transfers else 3
 
+    def _options(self) -> "Options":
+        from polypod.sim2sim import Options
+
+        usual = Options()
+        return Options(
+            envs_per_robot=usual.envs_per_robot if self.num_envs is None else self.num_envs,
+            steps=self.steps,
+            seed=self.seed,
+            command=self.command,
+            commands="task" if self.commands == "task" else "walking",
+            dt=self.dt,
+            integrator=self.integrator or usual.integrator,
+            friction=self.friction,
+            soft_contact=self.soft_contact,
+            overrides=self.set,
+            terms=self.terms,
+        )
+
     def _refuse_commands(self, asks: str) -> None:
         """Raises ConfigError for flags of a policy that follows no velocity command."""
         keys = ["commands", "command"]
         if asks == "motions":
-            keys += ["steps", "dt", "integrator", "friction", "soft_contact", "terms"]
+            keys += ["steps", "terms"]
         usual = {field.name: field.default for field in dataclasses.fields(self)}
         for key in keys:
             if getattr(self, key) != usual[key]:
@@ -167,10 +179,13 @@ class Sim2sim:
         from polypod.sim2sim import on_motions
 
         found = {}
-        for where, module in (("polypod", tracking), ("MuJoCo", on_motions)):
-            found[where] = module.measure_checkpoint(
-                checkpoint, robots, episodes=self.num_envs or 16, seed=self.seed, overrides=list(self.set)
-            )
+        how: dict[str, Any] = {"episodes": self.num_envs or 16, "seed": self.seed, "overrides": list(self.set)}
+        measures: dict[str, Callable[..., dict[str, dict[str, ClipResult]]]] = {
+            "polypod": tracking.measure_checkpoint,
+            "MuJoCo": functools.partial(on_motions.measure_checkpoint, options=self._options()),
+        }
+        for where, measure in measures.items():
+            found[where] = measure(checkpoint, robots, **how)
             print(f"in {where}")
             for text in tracking.lines_of(found[where]):
                 print(text)

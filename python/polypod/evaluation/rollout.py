@@ -12,7 +12,7 @@ from polypod import _core
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import measures, rising, walking
-from polypod.evaluation.results import Evaluation, robot_result
+from polypod.evaluation.results import Evaluation, RobotResult, robot_result
 from polypod.motions.names import split
 from polypod.networks.policies import Policy, reset
 from polypod.python_terms import Terms
@@ -99,13 +99,7 @@ def evaluate(
         ConfigError: for an unknown task or robot, for counts below one, and for more than
             `MAX_STEPS` control steps.
     """
-    for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
-        if count is not None and count < 1:
-            raise _core.ConfigError(f"{name} = {count} must be at least 1")
-    if commands not in get_args(Commands):
-        raise _core.ConfigError(f"commands = {commands!r}; use one of {', '.join(get_args(Commands))}")
-    if grid is not None and np.prod(grid, dtype=object) > MAX_GRID:
-        raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
+    _check(num_envs, episodes, steps, grid, commands)
     name = play_task(task)
     named = list(robots) if robots is not None else None
     switches = as_trained(name, trained) if randomized else undisturbed(name, trained)
@@ -164,6 +158,46 @@ def evaluate(
         runs.append(sums if on_grid is None or first is None else {**sums, "command": first.astype(np.float64)})
     disturbances = _core.disturbances(name, of_task)
     figures = {key: np.stack([run[key] for run in runs]) for key in runs[0]}
+    return Evaluation(
+        task=sim.task_name,
+        num_envs=sim.num_envs,
+        episodes=episodes,
+        steps=steps,
+        seed=seed,
+        overrides=list(overrides),
+        duration_s=length * sim.step_dt,
+        randomized=bool(disturbances),
+        grid=grid,
+        commands="grid" if grid is not None else commands,
+        robots=_results(sim, figures, kinds, length, records, rises, wanted),
+        disturbances=disturbances,
+    )
+
+
+def _check(num_envs: int | None, episodes: int, steps: int | None, grid: Grid | None, commands: Commands) -> None:
+    """Refuses counts and names that no evaluation has."""
+    for name, count in (("num_envs", num_envs), ("episodes", episodes), ("steps", steps), ("grid", min(grid or [1]))):
+        if count is not None and count < 1:
+            raise _core.ConfigError(f"{name} = {count} must be at least 1")
+    if commands not in get_args(Commands):
+        raise _core.ConfigError(f"commands = {commands!r}; use one of {', '.join(get_args(Commands))}")
+    if grid is not None and np.prod(grid, dtype=object) > MAX_GRID:
+        raise _core.ConfigError(f"grid = {grid} has more than {MAX_GRID:,} commands; choose fewer")
+
+
+def _results(
+    sim: _core.VecSim,
+    figures: Mapping[str, Array],
+    kinds: Sequence[str],
+    length: int,
+    records: Sequence[walking.Record],
+    rises: Sequence[Mapping[str, Array]],
+    wanted: Mapping[str, rising.Goal],
+) -> dict[str, RobotResult]:
+    """Figures of each robot, of [episodes, envs].
+
+    Walking and getting up have figures where the episodes ask for them.
+    """
     infos = json.loads(sim.robot_info())
     gravity = float(np.linalg.norm(sim.gravity))
     results = {}
@@ -179,20 +213,7 @@ def evaluate(
             walking=walking.figures(records, envs, asked) if records else None,
             rising=rising.rising(**risen) if robot in wanted else None,
         )
-    return Evaluation(
-        task=sim.task_name,
-        num_envs=sim.num_envs,
-        episodes=episodes,
-        steps=steps,
-        seed=seed,
-        overrides=list(overrides),
-        duration_s=length * sim.step_dt,
-        randomized=bool(disturbances),
-        grid=grid,
-        commands="grid" if grid is not None else commands,
-        robots=results,
-        disturbances=disturbances,
-    )
+    return results
 
 
 def _episode(

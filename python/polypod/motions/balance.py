@@ -69,7 +69,7 @@ def loads(spans: list[list[tuple[float, float]]], times: Array) -> Array:
 def wanted(body: Body, position: Array, yaw: Array, load: Array) -> Array:
     """[frames, 2], the zero-moment points that stand on the soles.
 
-    A sole bears its weight where it does in the default pose.
+    A sole bears its weight where it does in the default pose, as far as an ankle can hold that.
 
     Args:
         body: the robot.
@@ -77,7 +77,7 @@ def wanted(body: Body, position: Array, yaw: Array, load: Array) -> Array:
         yaw: headings of the feet, [frames, 2], rad.
         load: of the feet, see `loads`.
     """
-    ahead = float(body.rest_point[0] - body.feet[:, 0].mean())
+    ahead = float(body.rest_point[0] - body.feet[:, 0].mean()) + body.lean
     inward = INWARD * (body.feet[1, 1] - body.feet[0, 1]) * np.array([1.0, -1.0])
     cos, sin = np.cos(yaw), np.sin(yaw)
     center = position[..., :2] + np.stack([ahead * cos - inward * sin, ahead * sin + inward * cos], axis=-1)

@@ -30,6 +30,11 @@ TOLERANCE = 1e-5
 FLAT = 0.25
 """Largest turn of a foot in the default pose at which its sole counts as flat with straight legs,
 rad."""
+BEARABLE = 0.35
+"""Largest share of an ankle's effort limit that holds the weight on one foot at rest. The others
+balance."""
+GRAVITY = 9.81
+"""Acceleration of free fall, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,6 +71,9 @@ class Body:
     """Base, torso, hips, knees, feet, shoulders, elbows and hands."""
     rest_point: Array
     """[2], centre of mass of the default pose, the base above the world's origin, m."""
+    lean: float
+    """How far motions carry the base ahead of the default pose's place, m: 0 unless an ankle bears
+    the default pose on one foot by more than `BEARABLE`."""
 
     def slot(self, name: str) -> int | None:
         """Index into the slots; None where the body lacks the role."""
@@ -234,6 +242,7 @@ def _body_of(robot: str) -> Body:
         hands=tuple(_last(slots, of_slot, links, side, ARM) for side in SIDES if f"{side}_ELBOW" in slots),
         key_links=key,
         rest_point=np.zeros(2),
+        lean=0.0,
     )
     flat, _ = body.with_feet(rest[np.newaxis], pos[:1, feet], soles[np.newaxis])
     height = -float(body.feet_gap(flat).min())
@@ -242,7 +251,11 @@ def _body_of(robot: str) -> Body:
     values = {**vars(body), "height": height, "leg": leg, "feet": pos[0, feet] + up, "default": flat[0, 7:]}
     single = _simulation(robot, 1)
     single.set_state(qpos=flat)
-    return Body(**{**values, "rest_point": single.center_of_mass()[0, :2].copy()})
+    point = single.center_of_mass()[0, :2].copy()
+    ahead = float(point[0] - body.feet[:, 0].mean())
+    effort = min(info["effort_limit"][of_slot[slots.index(f"{side}_ANKLE_PITCH")]] for side in SIDES)
+    bearable = BEARABLE * effort / (GRAVITY * single.total_mass)
+    return Body(**{**values, "rest_point": point, "lean": float(np.clip(ahead, -bearable, bearable)) - ahead})
 
 
 @functools.lru_cache(maxsize=4)

@@ -196,6 +196,7 @@ def draw(name: str, body: Body) -> Motion:
         own, flight = _jump(jump, leg, times)
         up, air = up + own, air + flight
     position = np.stack([base["forward"] * leg, base["left"] * leg, body.height + up], axis=1)
+    position += turns.rotated(turns.of_yaw(np.radians(base["yaw"])), np.array([body.lean, 0.0, 0.0]))
     quat = turns.of_rpy(*(np.radians(base[key]) for key in ("roll", "pitch", "yaw")))
     slots = np.tile(body.by_slot(body.default), (len(times), 1))
     lost: list[str] = []

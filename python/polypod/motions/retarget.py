@@ -22,7 +22,7 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
 
     Joints take over the change from the default pose of the joint of the same role. The base and
     the feet go ways that are scaled by the ratio of the leg lengths, so that a foot that stands
-    still does so again; the legs follow by inverse kinematics.
+    still does so again; the legs follow by inverse kinematics. The base is moved by `Body.lean`.
 
     Raises ConfigError for joints that the source does not have.
     """
@@ -41,6 +41,8 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
     clipped = np.clip(joints, target.lower, target.upper)
     base = scale * motion.base_pos
     base[:, 2] = target.height + scale * (motion.base_pos[:, 2] - source.height)
+    lean = np.broadcast_to([target.lean - scale * source.lean, 0.0, 0.0], base.shape)
+    base += turns.rotated(turns.yaw(motion.base_quat), lean)
     position, orientation = source.kinematics(qpos)
     at = [source.links.index(source.foot(side)) for side in range(2)]
     places, soles = [], []

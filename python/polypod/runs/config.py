@@ -26,6 +26,7 @@ from polypod.runs.schema import (
     OTHERS,
     RNN,
     RNN_TYPES,
+    UNKNOWN_JOINTS,
     URMA,
     ActorConfig,
     AlgorithmConfig,
@@ -313,6 +314,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "class_name": (MLP, RNN, URMA),
     "loss_type": LOSSES,
     "weights": EQUALS,
+    "unknown_joints": UNKNOWN_JOINTS,
     "rnn_type": RNN_TYPES,
 }
 """Values of the keys of all sections that have one of a few."""
@@ -479,13 +481,14 @@ def _check_teachers(distillation: DistillationConfig, where: str) -> None:
     if not 0.0 <= distillation.teacher_share <= 1.0:
         raise _core.ConfigError(f"{where} teacher_share = {distillation.teacher_share} must be from 0 to 1")
     defaults = DistillationConfig()
-    for key in ("teacher_share", "weights", "final_learning_rate"):
+    for key in ("teacher_share", "weights", "unknown_joints", "final_learning_rate"):
         if distillation.teacher is not None and getattr(distillation, key) != getattr(defaults, key):
             raise _core.ConfigError(f"{where} {key} is of [distillation.teachers]; name the teacher there")
     rate = distillation.final_learning_rate
     if rate is not None and not 0.0 < rate <= 1.0:
         raise _core.ConfigError(f"{where} final_learning_rate = {rate} must be above 0 and at most 1")
-    if distillation.weights not in EQUALS:
-        raise _core.ConfigError(f"{where} weights = {distillation.weights!r} is not one of {', '.join(EQUALS)}")
+    for key, allowed in (("weights", EQUALS), ("unknown_joints", UNKNOWN_JOINTS)):
+        if (value := getattr(distillation, key)) not in allowed:
+            raise _core.ConfigError(f"{where} {key} = {value!r} is not one of {', '.join(allowed)}")
     if not 1 <= distillation.teacher_iterations <= 2**31:
         raise _core.ConfigError(f"{where} teacher_iterations = {distillation.teacher_iterations} must be at least 1")

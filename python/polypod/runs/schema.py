@@ -21,6 +21,8 @@ ALTERNATE = "alternate"
 LEARNERS = ("auto", "native", "rsl_rl")
 RNN_TYPES = ("lstm", "gru")
 LOSSES = ("mse", "huber")
+UNKNOWN_JOINTS = ("seen", "held")
+"""Values of `unknown_joints` of a distillation."""
 EQUALS = ("robots", "envs")
 """Values of `weights` of a distillation."""
 OTHERS = "*"
@@ -252,6 +254,9 @@ class DistillationConfig:
     weights: str = "robots"
     """With `teachers`, what counts equally in the loss: "robots", however many envs they have, or
     "envs", so that `[env_shares]` of the task say how much a robot counts."""
+    unknown_joints: str = "seen"
+    """With `teachers`, what a teacher does with slots that no robot of its training had: "seen",
+    which networks of joints alone can, or "held": it neither sees nor moves them."""
     final_learning_rate: float | None = None
     """With `teachers`, the learning rate of the last iteration, to which it falls from that of
     `[algorithm]` along a cosine; none: it stays."""
@@ -477,6 +482,7 @@ class TrainConfig:
         }
         if of.teachers is not None:
             many = {**cfg["algorithm"], "class_name": MANY_TEACHERS, "teachers": of.teachers, "weights": of.weights}
+            many["unknown_joints"] = of.unknown_joints
             return {**cfg, "algorithm": many, "student": _masked(self.actor, sim, self.obs_groups.actor)}
         assert of.teacher is not None
         if sim is not None and sim.is_padded:

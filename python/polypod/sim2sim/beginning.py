@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -60,6 +61,17 @@ class Options:
     """`key=value` changes to the task, on top of the run's own."""
     terms: Path | None = None
     """The Python file of terms that the run was begun with, which is run."""
+
+    def check(self) -> None:
+        """Raises ConfigError for numbers that cannot be used."""
+        for name, count in (("num_envs", self.envs_per_robot), ("steps", self.steps)):
+            if count is not None and count < 1:
+                raise _core.ConfigError(f"{name} = {count} must be at least 1")
+        for flag, value, least, most in (("--dt", self.dt, 1e-5, 0.1), ("--friction", self.friction, 0.0, 100.0)):
+            if value is not None and not least <= value <= most:
+                raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
+        if self.command is not None and not all(math.isfinite(value) for value in self.command):
+            raise _core.ConfigError(f"--command {' '.join(map(str, self.command))} must be finite numbers")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,9 +132,9 @@ class Beginning:
         # a pose's height is the world's already
         self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
         self.task_dt: float = self.task["sim"]["dt"]
-        friction = _combined_friction(self.task) if options.friction is None else options.friction
-        dt = options.dt or (self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN))
-        self.physics = Physics(dt, options.integrator, friction, options.soft_contact, **_spin_friction(self.task))
+        self.physics = physics_of(
+            self.task, options, self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN)
+        )
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
         self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
 
@@ -135,7 +147,7 @@ class Beginning:
         sim = self._begin() if isinstance(self.sim, TermSim) else None
         return OwnTerms(sim, name) if isinstance(sim, TermSim) else None
 
-    def ends(self, name: str, interface: RobotInterface) -> "Ends":
+    def ends(self, name: str, interface: RobotInterface) -> Ends:
         """Conditions that end an episode of one robot."""
         ends = self.terminations
         groups = {*self.always_illegal, *ends.get("illegal_contact", {}).get("bodies", ())}
@@ -157,6 +169,35 @@ class Beginning:
             delays[:, joints] = random.integers(fewest, most, size=(self.envs_per_robot, 1), endpoint=True)
         return delays
 
+    def drive(
+        self,
+        robot: accuracy_robot.Robot,
+        interface: RobotInterface,
+        policy: FoldedPolicy,
+        ends: Ends,
+        late: int = 0,
+    ) -> Drive:
+        """A policy that drives one robot of the episode, on a plane about the world's origin.
+
+        `late` physics steps are added to its delays.
+        """
+        return Drive(
+            interface,
+            policy,
+            step_dt=self.step_dt,
+            physics_dt=self.task_dt,
+            delays=self.delays(robot) + late,
+            network_torques=functools.partial(self.sim.network_torques, robot.name),
+            least_height=ends.least_height,
+            most_tilt=ends.most_tilt,
+        )
+
+
+def physics_of(task: dict[str, Any], options: Options, dt: float) -> Physics:
+    """How MuJoCo steps in a task, by `dt` where the options name no step."""
+    friction = _combined_friction(task) if options.friction is None else options.friction
+    return Physics(options.dt or dt, options.integrator, friction, options.soft_contact, **_spin_friction(task))
+
 
 def heights(sim: _core.VecSim) -> reference.Heights | None:
     """The ground of a sim and `MARGIN` beyond it; None for a plane."""
@@ -177,18 +218,11 @@ def twin_of(
     robot = accuracy_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
-    drive = Drive(
-        interface,
-        policy,
-        step_dt=episode.step_dt,
-        physics_dt=episode.task_dt,
-        delays=episode.delays(robot) + late,
-        network_torques=functools.partial(episode.sim.network_torques, name),
+    drive = dataclasses.replace(
+        episode.drive(robot, interface, policy, ends, late),
         heights=episode.heights,
         places=episode.places[slice(*episode.sim.env_ids(name))],
         gravity=episode.sim.gravity,
-        least_height=ends.least_height,
-        most_tilt=ends.most_tilt,
     )
     return Twin(robot, bodies, episode.physics, drive)
 

@@ -27,7 +27,7 @@ from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim import beginning, differences, maker, mapping, mjcf, phases, run
 from polypod.sim2sim.commands import Commands
-from polypod.sim2sim.driven import Drive, FoldedPolicy
+from polypod.sim2sim.driven import FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
 from polypod.sim2sim.phases import PhaseFigures, PhaseRecord
 from polypod.sim2sim.run import Episode, Figures
@@ -433,17 +433,8 @@ def made(
     """A model with a policy in an episode, before its first reset."""
     ours = Reference.of(robot, dt=0.005)
     joints = [ours.model.joint(name).id for name in robot.joint_names]
-    drive = Drive(
-        interface,
-        policy,
-        step_dt=episode.step_dt,
-        physics_dt=episode.task_dt,
-        delays=episode.delays(robot) + late,
-        network_torques=functools.partial(episode.sim.network_torques, robot.name),
-        least_height=ends.least_height,
-        most_tilt=ends.most_tilt,
-    )
-    return Maker(model, maker.clusters_of(sorted(ends.groups), ours, outlines, joints), drive)
+    clusters = maker.clusters_of(sorted(ends.groups), ours, outlines, joints)
+    return Maker(model, clusters, episode.drive(robot, interface, policy, ends, late))
 
 
 def _digest(path: Path) -> str:

@@ -16,19 +16,19 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.accuracy import reference
 from polypod.evaluation import Policy, rising
-from polypod.evaluation.results import finite
 from polypod.evaluation.rising import Goal, Rising
 from polypod.export import onnx_graph
 from polypod.export.robot import interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
-from polypod.provenance import Measured, measured
+from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
 from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
+from polypod.sim2sim.compared import Compared
 from polypod.sim2sim.run import Progress, command_line
-from polypod.sim2sim.twin import Physics, Twin
+from polypod.sim2sim.twin import Twin
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,32 +45,8 @@ class BothRising:
 
 
 @dataclasses.dataclass(frozen=True)
-class RisingComparison:
-    """All robots, and what they were measured on."""
-
-    command: str
-    """The command line that compares the same again."""
-    task: str
-    envs_per_robot: int
-    seed: int
-    duration_s: float
-    mujoco_version: str
-    physics: Physics
-    robots: dict[str, BothRising]
-    measured: Measured
-
-    @property
-    def transfers(self) -> bool:
-        """Whether all robots get up in MuJoCo."""
-        return all(robot.transfers for robot in self.robots.values())
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
-        robots = {
-            name: {**dataclasses.asdict(robot), "transfers": robot.transfers} for name, robot in self.robots.items()
-        }
-        content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
-        return content
+class RisingComparison(Compared[BothRising]):
+    """All robots that get up, and what they were measured on."""
 
 
 class Poses(Beginning):
@@ -100,6 +76,7 @@ def compare(
 
     Args and errors are those of `polypod.sim2sim.compare`.
     """
+    options.check()
     loaded = load(checkpoint, robots=robots)
     manifest = loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)

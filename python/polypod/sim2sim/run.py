@@ -15,18 +15,18 @@ from polypod import _core, descriptions, rotations
 from polypod.accuracy import reference
 from polypod.arrays import Array
 from polypod.evaluation import Policy, Walking, walking
-from polypod.evaluation.results import finite, succeeds
+from polypod.evaluation.results import succeeds
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.networks.policies import reset
 from polypod.policy import load
-from polypod.provenance import Measured, measured
+from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
 from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
 from polypod.sim2sim.commands import Commanded, Commands
-from polypod.sim2sim.twin import Physics
+from polypod.sim2sim.compared import Compared
 
 Progress = Callable[[str, int, int], None]
 """Called with a robot, the control steps done and those to do."""
@@ -86,35 +86,15 @@ class RobotComparison:
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
-    """All robots, and what they were measured on."""
+class Comparison(Compared[RobotComparison]):
+    """All robots that walk, and what they were measured on."""
 
-    command: str
-    """The command line that compares the same again."""
-    task: str
-    envs_per_robot: int
-    seed: int
-    duration_s: float
-    mujoco_version: str
-    physics: Physics
-    robots: dict[str, RobotComparison]
-    measured: Measured
     distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
     """How far the robots that the policy was not trained on are from its training bodies."""
 
-    @property
-    def transfers(self) -> bool:
-        """Whether all robots do."""
-        return all(robot.transfers for robot in self.robots.values())
-
-    def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
-        robots = {
-            name: {**dataclasses.asdict(robot), "transfers": robot.transfers, "why_not": robot.why_not}
-            for name, robot in self.robots.items()
-        }
-        content: dict[str, Any] = finite({**dataclasses.asdict(self), "transfers": self.transfers, "robots": robots})
-        return content
+    def judged(self, robot: RobotComparison) -> dict[str, Any]:
+        """Whether a robot walks in MuJoCo, and why not, for JSON."""
+        return {**super().judged(robot), "why_not": robot.why_not}
 
 
 def compare(
@@ -142,14 +122,7 @@ def compare(
             obstacles, and where MuJoCo, ONNX or onnxruntime is missing.
     """
     options = options or Options()
-    for name, count in (("num_envs", options.envs_per_robot), ("steps", options.steps)):
-        if count is not None and count < 1:
-            raise _core.ConfigError(f"{name} = {count} must be at least 1")
-    for flag, value, least, most in (("--dt", options.dt, 1e-5, 0.1), ("--friction", options.friction, 0.0, 100.0)):
-        if value is not None and not least <= value <= most:
-            raise _core.ConfigError(f"{flag} {value} must be from {least:g} to {most:g}")
-    if options.command is not None and not all(math.isfinite(value) for value in options.command):
-        raise _core.ConfigError(f"--command {' '.join(map(str, options.command))} must be finite numbers")
+    options.check()
     loaded = load(checkpoint, robots=robots)
     network, manifest = loaded.network, loaded.manifest
     sources = list(manifest["robot_sources"] if robots is None else robots)

@@ -56,7 +56,9 @@ class Number(NamedTuple):
 class Teacher:
     """A policy that says for the envs of some robots what it would do."""
 
-    def __init__(self, path: str, rows: torch.Tensor, source: "_Source", ratios: torch.Tensor, device: str) -> None:
+    def __init__(
+        self, path: str, rows: torch.Tensor, source: "_Source", ratios: torch.Tensor, device: str, holds: bool = False
+    ) -> None:
         """Loads the policy and finds its numbers.
 
         Args:
@@ -65,6 +67,7 @@ class Teacher:
             source: the student's simulation.
             ratios: [n, 1], the student's action scale over the teacher's, by env.
             device: where it acts.
+            holds: whether it neither sees nor moves joints that no robot of its training had.
 
         Raises:
             ConfigError: for a task or a robot of the teacher that is not on this machine, for a
@@ -73,13 +76,13 @@ class Teacher:
         """
         checkpoint = Path(path)
         state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-        sim = _sim_of(path, manifest, source.slots_of(rows.tolist()))
+        sim = _sim_of(path, manifest, [] if holds else source.slots_of(rows.tolist()))
         if manifest["policy"]["class_name"] == URMA:
             manifest = with_slots(manifest, sim)
         elif lacking := [slot for slot in sim.canonical_joint_names if slot not in manifest["canonical_joint_names"]]:
             raise _core.ConfigError(
                 f"[distillation.teachers] {path} was trained without the joints {', '.join(lacking[:6])}; name a "
-                "network of joints, or a teacher that knows these joints"
+                'network of joints, or a teacher that knows these joints, or write unknown_joints = "held"'
             )
         if manifest["policy"]["num_obs"] != sim.num_obs:
             raise _core.ConfigError(
@@ -92,12 +95,14 @@ class Teacher:
         self._columns = torch.tensor(columns, device=device)
         taken = {slot: column for column, slot in enumerate(sim.canonical_joint_names)}
         pairs = [(taken[slot], column) for column, slot in enumerate(source.slots) if slot in taken]
-        self._given, self._wanted = (torch.tensor(of, device=device) for of in zip(*pairs, strict=True))
+        self._given, self._wanted = torch.tensor(pairs, dtype=torch.int64).reshape(-1, 2).T.to(device)
+        joints = source.mask[rows][:, self._wanted.cpu()].sum(dim=1)
+        if not joints.all():
+            raise _core.ConfigError(f"[distillation.teachers] {path} has a robot whose joints it does not know at all")
         self._ratios = None if bool((ratios == 1.0).all()) else ratios.to(device)
         acted = [number.term in source.actions for number in _numbers(sim, "policy")]
         self._acted = torch.tensor(acted, device=device)
         if isinstance(self.network, UrmaModel):
-            joints = source.mask[rows].sum(dim=1)
             self.network.mlp.counts = JointCounts(len(rows), int(joints.sum()), int(joints.max()))
 
     def write(self, observations: torch.Tensor, labels: torch.Tensor) -> None:
@@ -173,7 +178,9 @@ class _Source:
 class Teachers(torch.nn.Module):
     """All teachers of a simulation, as one that has an action for every env."""
 
-    def __init__(self, sim: _core.VecSim, groups: Sequence[str], paths: Mapping[str, str], device: str) -> None:
+    def __init__(
+        self, sim: _core.VecSim, groups: Sequence[str], paths: Mapping[str, str], device: str, *, holds: bool = False
+    ) -> None:
         """Loads the teachers of the robots that have envs here.
 
         Args:
@@ -181,6 +188,7 @@ class Teachers(torch.nn.Module):
             groups: observation groups that teachers read.
             paths: a checkpoint by robot; `OTHERS` for all that are not named.
             device: where they act.
+            holds: as of `Teacher`.
 
         Raises:
             ConfigError: as `Teacher`, for a robot without a teacher, and for an unknown robot.
@@ -217,7 +225,7 @@ class Teachers(torch.nn.Module):
                 for _ in block
             ]
             scales = torch.tensor(ratios, dtype=torch.float32).unsqueeze(1)
-            self.teachers.append(Teacher(path, rows, source, scales, device))
+            self.teachers.append(Teacher(path, rows, source, scales, device, holds))
         self.networks = torch.nn.ModuleList(teacher.network for teacher in self.teachers)
 
     @torch.no_grad()
@@ -264,7 +272,8 @@ class ManyTeachers(Distillation):
         groups = cfg["obs_groups"] = resolve_obs_groups(obs, cfg["obs_groups"], ["student", "teacher"])
         sim = env.unwrapped.sim
         student = student_class(obs, groups, "student", env.num_actions, **student_cfg).to(device)
-        teachers = Teachers(sim, groups["teacher"], algorithm.pop("teachers"), device)
+        holds = algorithm.pop("unknown_joints") == "held"
+        teachers = Teachers(sim, groups["teacher"], algorithm.pop("teachers"), device, holds=holds)
         storage = RolloutStorage(
             "distillation", env.num_envs, cfg["num_steps_per_env"], _seen(obs, groups), [env.num_actions], device
         )

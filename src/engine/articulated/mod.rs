@@ -157,7 +157,8 @@ impl<L: Kernels, T: Real> Packs<L, T> {
             let morphology = usize::from(block.morphology.0);
             of_blocks[morphology] = kept[morphology].take().map(|(keys, resident)| (block.rows, keys, resident));
         }
-        let mut left: usize = bodies.iter().map(|of| of.count.div_ceil(L::LANES)).sum();
+        let stepped = bodies.iter().zip(&of_blocks).filter(|(_, block)| block.is_some());
+        let mut left: usize = stepped.map(|(of, _)| of.count.div_ceil(L::LANES)).sum();
         let mut tasks = Vec::new();
         for &morphology in order {
             let (count, mut first) = (bodies[morphology].count, 0);

@@ -1,10 +1,9 @@
 //! The articulated engine on an NVIDIA card: the same equations, one thread per robot, with the
 //! bits of the CPU.
 //!
-//! Robots live in their rows. A control step copies states and drives into columns, and each
-//! morphology's block goes to the card, steps and comes back on its own queue, so that blocks step
-//! side by side. Rows are written when all blocks are back: if the card is lost, the CPU's engine
-//! makes the same step from them.
+//! Robots live in their components. A control step copies states and drives into rows in pinned
+//! memory, and one launch steps the robots of all morphologies. Components are written when all
+//! blocks are back: if the card is lost, the CPU's engine makes the same step from them.
 
 mod robots;
 mod trial;
@@ -19,8 +18,8 @@ use crate::blocks::{Block, BlockList, BlockSizes};
 use crate::dynamics::{Parameters, StepSettings};
 use crate::error::Error;
 use crate::workers::{Workers, packs_of};
-use robots::{Means, Robots};
-use trial::{Trial, Turn};
+use robots::{Means, Pair, Robots};
+use trial::Trial;
 
 /// Folders of Python packages, in which `cuda` looks for torch's NVRTC; the first call counts.
 pub use polypod_cuda::search_packages;
@@ -29,8 +28,8 @@ pub use polypod_cuda::search_packages;
 pub fn describe_card() -> String {
     match polypod_cuda::find() {
         Ok(Found { name, driver, memory }) => format!(
-            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and with \
-             physics.engine=auto where it is faster than the CPU",
+            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and next \
+             to the CPU, where that is faster, with physics.engine=auto",
             memory >> 30,
             driver / 1000,
             driver % 1000 / 10
@@ -56,8 +55,8 @@ impl OnDevice {
         Self { open: Box::new(open), if_faster: false }
     }
 
-    /// Engines on a device where it is faster than the CPU: both take turns in the first steps.
-    /// They have the same bits. Where there is no device, the CPU steps.
+    /// Engines that share the robots between a device and the CPU as is fastest: shares take turns
+    /// in the first steps. All have the same bits. Where there is no device, the CPU steps.
     pub fn if_faster(open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Self {
         Self { if_faster: true, ..Self::new(open) }
     }
@@ -73,6 +72,7 @@ impl OnDevice {
         let device = (self.open)().map_err(refused)?;
         let settings = setup.step_settings(setup.plane());
         let heights = setup.ground.terrain.as_deref().map(Heights::new);
+        device.prepare(setup.blocks.num_envs()).map_err(refused)?;
         let (mut robots, mut first_env) = (Vec::new(), 0);
         for (morphology, &count) in setup.morphologies.iter().zip(&setup.blocks.0) {
             if count > 0 {
@@ -124,8 +124,9 @@ impl EngineFactory for OnDevice {
         let timed = std::env::var_os(TIMES).is_some();
         let engine = DeviceEngine {
             on_cpu: setup.make_articulated()?,
+            on_device: placed.as_ref().map_or(0, |placed| placed.robots.len()),
+            trial: placed.as_ref().filter(|_| self.if_faster).map(|placed| Trial::new(placed.shares())),
             placed,
-            trial: self.if_faster.then(Trial::default),
             times: timed.then(Times::default),
         };
         Ok(Box::new(engine))
@@ -143,73 +144,92 @@ struct Placed {
     order: Vec<usize>,
 }
 
-/// Steps on a device; on the CPU if the device is lost or slower.
+/// Steps robots on a device, and the others on the CPU; all on the CPU if the device is lost or
+/// slower.
 struct DeviceEngine {
     /// The engine with the same bits, which goes on where the device is lost.
     on_cpu: Box<dyn Engine>,
-    /// Absent once the device is lost, or where the CPU is faster.
+    /// Absent once the device is lost, or where the CPU alone is faster.
     placed: Option<Placed>,
-    /// While it is not known who is faster.
+    /// Number of morphologies whose robots the device steps, the last ones of [`Placed::order`].
+    on_device: usize,
+    /// While it is not known which number is the fastest.
     trial: Option<Trial>,
     times: Option<Times>,
 }
 
+/// Shares of the robots that the device may take, eighths.
+const SHARES: [usize; 5] = [0, 3, 5, 6, 8];
+
 impl Placed {
-    /// Steps all blocks on the device. The rows are unchanged.
-    fn step(
-        &mut self,
-        workers: &Workers,
-        blocks: &mut [Block<RobotSlices<'_>>],
-        times: Option<&mut Times>,
-    ) -> Result<(), DeviceError> {
-        let Self { device, settings, heights, robots, order } = self;
-        let means = Means { device: &**device, settings, heights: heights.as_ref(), workers };
-        let begun = Instant::now();
-        robots::read_rows(workers, robots, blocks);
-        for &place in &*order {
-            robots[place].start(&means, &mut blocks[place])?;
-        }
-        let started = Instant::now();
-        for &place in &*order {
-            robots[place].finish(&means, &mut blocks[place])?;
-        }
-        if let Some(times) = times {
-            times.gather += started - begun;
-            times.wait += started.elapsed();
-            times.steps += 1;
-            for robots in robots {
-                for (sum, seconds) in times.device.iter_mut().zip(robots.seconds().unwrap_or_default()) {
-                    *sum += seconds;
-                }
-            }
-        }
-        Ok(())
+    /// Numbers of morphologies, as [`DeviceEngine::on_device`] counts them, that make up the
+    /// shares.
+    fn shares(&self) -> Vec<usize> {
+        let all: usize = self.robots.iter().map(|robots| robots.envs().len()).sum();
+        let mut numbers: Vec<usize> = SHARES.iter().map(|share| self.number_of(all * share / 8)).collect();
+        numbers.dedup();
+        numbers
+    }
+
+    /// The least number of morphologies with that many robots.
+    fn number_of(&self, wanted: usize) -> usize {
+        let mut robots = 0;
+        let sums = self.order.iter().rev().map(|&place| {
+            robots += self.robots[place].envs().len();
+            robots
+        });
+        if wanted == 0 { 0 } else { 1 + sums.take_while(|&sum| sum < wanted).count() }
     }
 }
 
+/// Robots that the device steps, with their components.
+type Taken<'a, 'b> = Vec<(&'a mut Robots, Block<RobotSlices<'b>>)>;
+
+fn pairs<'a, 'b>(taken: &'a mut Taken<'_, 'b>) -> Vec<Pair<'a, 'b>> {
+    taken.iter_mut().map(|(robots, block)| (&mut **robots, block)).collect()
+}
+
+/// Begins a control step of robots on the device.
+fn begin(means: &Means<'_>, taken: &mut Taken<'_, '_>) -> Result<(), DeviceError> {
+    robots::read_rows(means.workers, pairs(taken));
+    for (robots, block) in taken {
+        robots.start(means, block)?;
+    }
+    means.device.launch()
+}
+
+/// Waits for the end of the step.
+fn end(means: &Means<'_>, taken: &mut Taken<'_, '_>) -> Result<(), DeviceError> {
+    taken.iter_mut().try_for_each(|(robots, block)| robots.finish(means, block))
+}
+
 impl DeviceEngine {
-    /// Whether the device makes the next step.
-    fn takes_device(&mut self) -> bool {
-        let Self { placed: Some(placed), trial, .. } = self else { return false };
-        let Some(of_both) = trial else { return true };
+    /// Number of morphologies whose robots the device steps next.
+    fn next_on_device(&mut self) -> usize {
+        let Self { placed: Some(placed), on_device, trial, .. } = self else { return 0 };
+        let Some(running) = trial else { return *on_device };
         // asking begins the preparations of all, side by side
         if placed.robots.iter_mut().map(Robots::is_ready).filter(|ready| !ready).count() > 0 {
-            return false;
+            return 0;
         }
-        let turn = of_both.next(Instant::now());
-        let Some((winner, [cpu, device])) = of_both.verdict() else { return turn == Turn::Device };
-        let [cpu, device] = [cpu, device].map(|time| 1e3 * time.as_secs_f64());
+        let turn = running.next(Instant::now());
+        let Some(verdict) = running.verdict() else { return turn };
+        let of = |&(number, time): &(usize, Duration)| format!("{:.2} ms with {number}", 1e3 * time.as_secs_f64());
+        let times: Vec<String> = verdict.times.iter().map(of).collect();
         tracing::info!(
-            "physics.engine auto: a control step takes {device:.2} ms with {} and {cpu:.2} ms with the CPU alone, \
-             which have the same bits; {} goes on",
+            "physics.engine auto: of {} morphologies {} steps {}, and the CPU the others, with the same bits; a control \
+             step takes {}",
+            placed.robots.len(),
             placed.device.name(),
-            if winner == Turn::Device { "the card" } else { "the CPU" }
+            verdict.best,
+            times.join(", ")
         );
-        self.trial = None;
-        if winner == Turn::Cpu {
+        *on_device = verdict.best;
+        *trial = None;
+        if verdict.best == 0 {
             self.placed = None;
         }
-        self.placed.is_some()
+        self.on_device
     }
 }
 
@@ -226,25 +246,46 @@ impl Engine for DeviceEngine {
 
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord> {
         let whole = |placed: &Placed| run.gains && run.steps == placed.settings.decimation;
-        if !self.placed.as_ref().is_some_and(whole) || !self.takes_device() {
-            return self.on_cpu.step(workers, robots, run);
-        }
-        let Self { placed, times, .. } = self;
-        let Some(device) = placed else { return self.on_cpu.step(workers, robots, run) };
-        let mut blocks: Vec<Block<RobotSlices>> = robots.into_iter().collect();
-        if let Err(error) = device.step(workers, &mut blocks, times.as_mut()) {
+        let number = if self.placed.as_ref().is_some_and(whole) { self.next_on_device() } else { 0 };
+        let Self { on_cpu, placed, times, .. } = self;
+        let Some(Placed { device, settings, heights, robots: of_all, order }) = placed.as_mut().filter(|_| number > 0)
+        else {
+            return on_cpu.step(workers, robots, run);
+        };
+        let means = Means { device: &**device, settings, heights: heights.as_ref(), workers };
+        let mut all: Vec<_> = of_all.iter_mut().zip(robots).map(Some).collect();
+        let first = order.len().saturating_sub(number);
+        let mut taken: Taken = order[first..].iter().filter_map(|&place| all[place].take()).collect();
+        let of_cpu: Vec<_> = all.into_iter().flatten().map(|(_, block)| block).collect();
+        let begun = Instant::now();
+        let launched = begin(&means, &mut taken);
+        let started = Instant::now();
+        let mut found =
+            if of_cpu.is_empty() { Vec::new() } else { on_cpu.step(workers, BlockList::new(of_cpu.into_iter()), run) };
+        let stepped = Instant::now();
+        let done = launched.and_then(|()| end(&means, &mut taken));
+        let finished = Instant::now();
+        if let Err(error) = done {
             tracing::warn!(
                 "physics.engine: the card failed ({error}); the simulation goes on from the last control step with the \
                  engine articulated, on the CPU and with the same bits"
             );
-            self.placed = None;
-            return self.on_cpu.step(workers, BlockList::new(blocks.into_iter()), run);
+            let mut blocks: Vec<_> = taken.into_iter().map(|(_, block)| block).collect();
+            blocks.sort_by_key(|block| block.envs.start);
+            found.extend(on_cpu.step(workers, BlockList::new(blocks.into_iter()), run));
+            *placed = None;
+        } else {
+            found.extend(robots::write_rows(workers, pairs(&mut taken), &run));
+            if let Some(times) = times {
+                times.gather += started - begun;
+                times.on_cpu += stepped - started;
+                times.wait += finished - stepped;
+                times.scatter += finished.elapsed();
+                times.steps += 1;
+                times.kernel += device.seconds().unwrap_or(0.0);
+            }
         }
-        let begun = Instant::now();
-        let found = robots::write_rows(workers, &mut device.robots, &mut blocks, &run);
-        if let Some(times) = times {
-            times.scatter += begun.elapsed();
-        }
+        found.sort_by_key(|record| record.env);
         found
     }
 }
@@ -253,25 +294,27 @@ impl Engine for DeviceEngine {
 #[derive(Default)]
 struct Times {
     steps: u32,
-    /// Rows into columns, and the beginning of the blocks' work.
+    /// Components into rows, and the launch.
     gather: Duration,
+    /// Robots of the CPU.
+    on_cpu: Duration,
     /// For the device, beyond that.
     wait: Duration,
-    /// Columns into rows.
+    /// Rows into components.
     scatter: Duration,
-    /// Upload, kernel, download, s: sums over blocks, which overlap.
-    device: [f64; 3],
+    /// Kernels, s.
+    kernel: f64,
 }
 
 impl Drop for Times {
     fn drop(&mut self) {
         let ms = |seconds: f64| 1e3 * seconds / f64::from(self.steps.max(1));
-        let [gather, wait, scatter] = [self.gather, self.wait, self.scatter].map(|time| ms(time.as_secs_f64()));
-        let [upload, kernel, download] = self.device.map(ms);
+        let [gather, on_cpu, wait, scatter] =
+            [self.gather, self.on_cpu, self.wait, self.scatter].map(|time| ms(time.as_secs_f64()));
+        let kernel = ms(self.kernel);
         eprintln!(
-            "physics.engine cuda: {} steps; ms a step: rows into columns {gather:.3}, waiting {wait:.3}, columns into \
-             rows {scatter:.3}; sums over blocks, which overlap: upload {upload:.3}, kernel {kernel:.3}, download \
-             {download:.3}",
+            "physics.engine cuda: {} steps; ms a step: components into rows {gather:.3}, robots of the CPU \
+             {on_cpu:.3}, waiting {wait:.3}, rows into components {scatter:.3}; kernels {kernel:.3}",
             self.steps
         );
     }

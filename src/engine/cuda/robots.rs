@@ -1,11 +1,10 @@
-//! The robots of a morphology on a device: rows into columns and back.
+//! The robots of a morphology on a device: components into the rows that it reads, and back.
 
 use std::ops::Range;
-use std::slice;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use polypod_cuda::{Columns, Device, DeviceBlock, DeviceError, Heights, Motion, ROBOTS_OF_TILE, Scene, Shape, list};
+use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, ROBOTS_OF_TILE, Scene, Shape, list};
 use smallvec::SmallVec;
 
 use super::super::{DivergenceRecord, RobotRows, RobotSlices, Run, StateLimits, history_length};
@@ -18,8 +17,8 @@ use crate::workers::{SplitRows, Workers};
 /// Contacts that lists of impulses have room for at first: those of a standing quadruped. Room that
 /// robots do not use is transferred too.
 const FIRST_CAPACITY: usize = 4;
-/// Fewest tiles that a thread copies at a time.
-const MIN_TILES: usize = 2;
+/// Fewest robots that a thread copies at a time.
+const MIN_ROBOTS: usize = 64;
 
 /// Device, settings, heights and threads of an engine, which all steps need.
 pub(super) struct Means<'a> {
@@ -51,7 +50,7 @@ pub(super) struct Robots {
     needs: Needs,
 }
 
-/// Facts about the robots whose rows and columns threads copy.
+/// Facts about the robots whose rows threads copy.
 #[derive(Clone, Copy)]
 struct Common<'a> {
     ages: usize,
@@ -71,48 +70,41 @@ struct Needs {
     forces: AtomicBool,
 }
 
-/// A thread's rows, with their columns.
+/// Robots of a morphology, and their components in a control step.
+pub(super) type Pair<'a, 'b> = (&'a mut Robots, &'a mut Block<RobotSlices<'b>>);
+
+/// A thread's rows: components, and those of the device.
 struct Part<'a, 'b> {
+    morphology: usize,
     first: usize,
     rows: RobotSlices<'b>,
-    columns: Columns<'a>,
+    exchange: Exchange<'a>,
     common: Common<'a>,
 }
 
-/// Parts of all robots, whole tiles each, so that threads meet once for all morphologies.
-fn parts<'a>(
-    workers: &Workers,
-    robots: &'a mut [Robots],
-    blocks: &'a mut [Block<RobotSlices<'_>>],
-) -> impl Iterator<Item = Part<'a, 'a>> {
-    let all: usize = robots.iter().map(|robots| robots.envs.len().div_ceil(ROBOTS_OF_TILE)).sum();
-    let tiles = workers.share(all, MIN_TILES);
-    robots.iter_mut().zip(blocks).flat_map(move |(robots, block)| robots.parts(block.rows.reborrow(), tiles))
+/// Parts of all robots, so that threads meet once for all morphologies.
+fn parts<'a>(workers: &Workers, pairs: Vec<Pair<'a, '_>>) -> Vec<Part<'a, 'a>> {
+    let all: usize = pairs.iter().map(|(robots, _)| robots.envs.len()).sum();
+    let most = workers.share(all, MIN_ROBOTS);
+    let mut parts = Vec::new();
+    for (robots, block) in pairs {
+        parts.extend(robots.parts(usize::from(block.morphology.0), block.rows.reborrow(), most));
+    }
+    parts
 }
 
-/// Copies the rows of all robots into columns.
-pub(super) fn read_rows(workers: &Workers, robots: &mut [Robots], blocks: &mut [Block<RobotSlices<'_>>]) {
-    let parts: Vec<Part> = parts(workers, robots, blocks).collect();
-    workers.for_each(parts.into_iter(), Part::read);
+/// Copies the components of all robots into the rows of the device.
+pub(super) fn read_rows(workers: &Workers, pairs: Vec<Pair<'_, '_>>) {
+    workers.for_each(parts(workers, pairs).into_iter(), Part::read);
 }
 
-/// Copies the columns of all robots into rows. Returns the record of the first env of each watched
-/// morphology whose new state is beyond the limits.
-pub(super) fn write_rows(
-    workers: &Workers,
-    robots: &mut [Robots],
-    blocks: &mut [Block<RobotSlices<'_>>],
-    run: &Run,
-) -> Vec<DivergenceRecord> {
-    let morphologies: Vec<usize> = blocks.iter().map(|block| usize::from(block.morphology.0)).collect();
-    let ends: Vec<usize> = robots.iter().map(|robots| robots.envs.end).collect();
+/// Copies the rows of the device into the components of all robots. Returns the record of the first
+/// env of each watched morphology whose new state is beyond the limits.
+pub(super) fn write_rows(workers: &Workers, pairs: Vec<Pair<'_, '_>>, run: &Run) -> Vec<DivergenceRecord> {
     let found = Mutex::new(Vec::new());
-    let parts: Vec<Part> = parts(workers, robots, blocks).collect();
-    workers.for_each(parts.into_iter(), |part| {
-        let env = part.common.first_env + part.first;
-        let morphology = morphologies[ends.partition_point(|&end| end <= env)];
-        let limits = run.watched[morphology].then_some(run.limits);
-        if let Some(record) = part.write(morphology, limits) {
+    workers.for_each(parts(workers, pairs).into_iter(), |part| {
+        let limits = run.watched[part.morphology].then_some(run.limits);
+        if let Some(record) = part.write(limits) {
             found.lock().unwrap_or_else(PoisonError::into_inner).push(record);
         }
     });
@@ -124,13 +116,12 @@ pub(super) fn write_rows(
 
 impl Part<'_, '_> {
     fn read(self) {
-        let Self { rows, mut columns, common: Common { ages, forces, needs, .. }, .. } = self;
+        let Self { rows, mut exchange, common: Common { ages, forces, needs, .. }, .. } = self;
         let (mut contacts, mut unknown) = (0, false);
         for row in 0..rows.poses.len() {
-            columns.foresee(row, true);
             let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
             let impulses = &rows.impulses[row];
-            columns.write_motion(
+            exchange.write_motion(
                 row,
                 &Motion {
                     position: &pose.position,
@@ -142,12 +133,12 @@ impl Part<'_, '_> {
                 },
             );
             contacts = contacts.max(impulses.contacts.len());
-            columns.write_impulses(row, impulses.contacts.iter().map(|of| (of.contact, of.impulse)));
+            exchange.write_impulses(row, impulses.contacts.iter().map(|of| (of.contact, of.impulse)));
             // without a history no actuator sees a delay
             let delays: &[f32] = if ages > 1 { &rows.delays[row].0 } else { &[] };
-            columns.write_targets(row, rows.targets[row].history.iter().take(ages).flatten(), delays);
+            exchange.write_targets(row, rows.targets[row].history.iter().take(ages).flatten(), delays);
             let wrench = &rows.wrenches[row];
-            columns.write_surroundings(row, &wrench.force, &wrench.torque, &rows.origins[row].position);
+            exchange.write_surroundings(row, &wrench.force, &wrench.torque, &rows.origins[row].position);
             let own = &rows.link_forces[row].0;
             unknown |= own.iter().any(|force| forces.binary_search(&key_of(force)).is_err());
             for (key, of) in forces.iter().enumerate() {
@@ -155,18 +146,18 @@ impl Part<'_, '_> {
                     Some(force) => (1.0, [&force.point, &force.force, &force.torque]),
                     None => (0.0, [&[0.0; 3]; 3]),
                 };
-                columns.write_link_force(row, key, acts, vectors);
+                exchange.write_link_force(row, key, acts, vectors);
             }
         }
         needs.contacts.fetch_max(contacts, Ordering::Relaxed);
         needs.forces.fetch_or(unknown, Ordering::Relaxed);
     }
 
-    fn write(self, morphology: usize, limits: Option<&StateLimits>) -> Option<DivergenceRecord> {
-        let Self { first, mut rows, columns, common } = self;
-        let broken = limits.and_then(|limits| first_broken(&rows, &columns, limits));
+    fn write(self, limits: Option<&StateLimits>) -> Option<DivergenceRecord> {
+        let Self { morphology, first, mut rows, exchange, common } = self;
+        let broken = limits.and_then(|limits| first_broken(&rows, &exchange, limits));
         rows.record(broken, morphology, common.first_env + first, |rows| {
-            (0..rows.poses.len()).for_each(|row| write_row(rows, row, &columns, common.feet, common.others));
+            (0..rows.poses.len()).for_each(|row| write_row(rows, row, &exchange, common.feet, common.others));
         })
     }
 }
@@ -227,11 +218,6 @@ impl Robots {
         self.block.is_ready()
     }
 
-    /// See [`DeviceBlock::seconds`].
-    pub(super) fn seconds(&self) -> Option<[f64; 3]> {
-        self.block.seconds()
-    }
-
     /// Takes over the parameters of an env's robot.
     pub(super) fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let differs = |own: &f32, common: &f32| own.to_bits() != common.to_bits();
@@ -249,24 +235,24 @@ impl Robots {
         self.changed[robot / ROBOTS_OF_TILE] = true;
     }
 
-    /// Parts of some tiles each.
-    fn parts<'a, 'b>(&'a mut self, rows: RobotSlices<'b>, tiles: usize) -> Vec<Part<'a, 'b>> {
+    /// Parts of at most some robots each.
+    fn parts<'a, 'b>(&'a mut self, morphology: usize, rows: RobotSlices<'b>, most: usize) -> Vec<Part<'a, 'b>> {
         let Self { envs, ages, forces, feet, others, block, needs, .. } = self;
         *needs = Needs::default();
         let common = Common { ages: *ages, forces, feet, others, needs, first_env: envs.start };
-        let (mut rest, mut parts, mut first) = (Some((rows, block.columns())), Vec::new(), 0);
-        while let Some((rows, columns)) = rest.take() {
-            let n = (tiles * ROBOTS_OF_TILE).min(envs.len() - first);
+        let (mut rest, mut parts, mut first) = (Some((rows, block.exchange())), Vec::new(), 0);
+        while let Some((rows, exchange)) = rest.take() {
+            let n = most.min(envs.len() - first);
             let (rows, more) = rows.split_rows(n);
-            let (columns, further) = columns.split_at(n.div_ceil(ROBOTS_OF_TILE));
-            parts.push(Part { first, rows, columns, common });
+            let (exchange, further) = exchange.split_at(n);
+            parts.push(Part { morphology, first, rows, exchange, common });
             first += n;
             rest = (first < envs.len()).then_some((more, further));
         }
         parts
     }
 
-    /// Begins a control step of the robots in these rows, which have been read.
+    /// Notes a control step of the robots in these rows, which have been read, for the next launch.
     ///
     /// # Errors
     /// A device that is lost, or whose memory is too small for more contacts.
@@ -275,7 +261,7 @@ impl Robots {
         if contacts > self.block.shape().capacity || self.needs.forces.load(Ordering::Relaxed) {
             let forces = self.forces_of(&block.rows);
             self.allocate(means, contacts, forces)?;
-            read_rows(means.workers, slice::from_mut(self), slice::from_mut(block));
+            read_rows(means.workers, vec![(&mut *self, &mut *block)]);
         }
         if self.changed.contains(&true) {
             let changed: Vec<usize> = (0..self.changed.len()).filter(|&tile| self.changed[tile]).collect();
@@ -293,14 +279,15 @@ impl Robots {
     pub(super) fn finish(&mut self, means: &Means<'_>, block: &mut Block<RobotSlices<'_>>) -> Result<(), DeviceError> {
         loop {
             self.block.finish()?;
-            let columns = self.block.columns();
-            let contacts = (0..self.envs.len()).map(|robot| columns.num_impulses(robot)).max().unwrap_or(0);
+            let exchange = self.block.exchange();
+            let contacts = (0..self.envs.len()).map(|robot| exchange.num_impulses(robot)).max().unwrap_or(0);
             if contacts <= self.block.shape().capacity {
                 return Ok(());
             }
             self.allocate(means, contacts, self.forces.clone())?;
-            read_rows(means.workers, slice::from_mut(self), slice::from_mut(block));
+            read_rows(means.workers, vec![(&mut *self, &mut *block)]);
             self.start(means, block)?;
+            means.device.launch()?;
         }
     }
 
@@ -334,12 +321,11 @@ impl Robots {
     }
 }
 
-/// The first row whose new state, which is in the columns, is not finite or beyond the limits.
-fn first_broken(rows: &RobotSlices<'_>, columns: &Columns<'_>, limits: &StateLimits) -> Option<usize> {
+/// The first row whose new state, which the device has written, is not finite or beyond the limits.
+fn first_broken(rows: &RobotSlices<'_>, exchange: &Exchange<'_>, limits: &StateLimits) -> Option<usize> {
     let joints = rows.joints.first().map_or(0, |joints| joints.position.len());
     let mut numbers: SmallVec<[f32; 128]> = SmallVec::from_elem(0.0, 13 + 5 * joints);
     (0..rows.poses.len()).find(|&row| {
-        columns.foresee(row, false);
         let (position, rest) = numbers.split_at_mut(3);
         let (rotation, rest) = rest.split_at_mut(4);
         let (linear, rest) = rest.split_at_mut(3);
@@ -348,7 +334,7 @@ fn first_broken(rows: &RobotSlices<'_>, columns: &Columns<'_>, limits: &StateLim
         let (velocities, rest) = rest.split_at_mut(joints);
         let (bounds, rest) = rest.split_at_mut(joints);
         let (efforts, accelerations) = rest.split_at_mut(joints);
-        columns.read_motion(
+        exchange.read_motion(
             row,
             Motion {
                 position: &mut *position,
@@ -359,17 +345,16 @@ fn first_broken(rows: &RobotSlices<'_>, columns: &Columns<'_>, limits: &StateLim
                 bounds,
             },
         );
-        columns.read_joints(row, efforts, accelerations);
+        exchange.read_joints(row, efforts, accelerations);
         limits.violation([position, rotation, linear, angular, positions, velocities, efforts], |x| x).is_some()
     })
 }
 
 /// Writes the new state and the report of a robot to its row.
-fn write_row(rows: &mut RobotSlices<'_>, row: usize, columns: &Columns<'_>, feet: &[usize], others: &[usize]) {
-    columns.foresee(row, false);
+fn write_row(rows: &mut RobotSlices<'_>, row: usize, exchange: &Exchange<'_>, feet: &[usize], others: &[usize]) {
     let (pose, velocity, joints) = (&mut rows.poses[row], &mut rows.velocities[row], &mut rows.joints[row]);
     let impulses = &mut rows.impulses[row];
-    columns.read_motion(
+    exchange.read_motion(
         row,
         Motion {
             position: &mut pose.position,
@@ -381,11 +366,11 @@ fn write_row(rows: &mut RobotSlices<'_>, row: usize, columns: &Columns<'_>, feet
         },
     );
     impulses.contacts.clear();
-    impulses.contacts.extend(columns.impulses(row).map(|(contact, impulse)| ContactImpulse { contact, impulse }));
+    impulses.contacts.extend(exchange.impulses(row).map(|(contact, impulse)| ContactImpulse { contact, impulse }));
     let effort = &mut rows.efforts[row];
-    columns.read_joints(row, &mut effort.applied, &mut effort.acceleration);
-    let normal = |step: usize, body: usize| columns.normal_force(row, step, body);
-    rows.forces[row].set(feet, others, |body| columns.body_force(row, body), normal);
+    exchange.read_joints(row, &mut effort.applied, &mut effort.acceleration);
+    let normal = |step: usize, body: usize| exchange.normal_force(row, step, body);
+    rows.forces[row].set(feet, others, |body| exchange.body_force(row, body), normal);
     let feet = &mut rows.feet[row];
-    columns.read_sites(row, &mut feet.position, &mut feet.velocity);
+    exchange.read_sites(row, &mut feet.position, &mut feet.velocity);
 }

@@ -10,7 +10,8 @@ import polypod.cli
 from polypod import _core
 from polypod.evaluation import rising
 from polypod.runs import run_dir
-from polypod.sim2sim import asked, beginning, on_rising, run
+from polypod.sim2sim import asked, beginning, on_motions, on_rising, run
+from polypod.sim2sim.twin import Physics
 
 TRAIN = ["--num-envs", "8", "--max-iterations", "1", "--logger", "none", "--threads", "1"]
 SMALL = ["--set", "train.run.num_steps_per_env=2", "--set", "train.actor.hidden_dims=[16]"]
@@ -84,6 +85,20 @@ def test_motions_are_tracked_in_both(tracks, tmp_path, capsys):
     assert set(found) == {"polypod", "mujoco"}
     ours, theirs = (found[key]["unitree_g1"]["wave"]["base_m"][0] for key in ("polypod", "mujoco"))
     assert ours == pytest.approx(theirs, rel=0.2)
+
+
+def test_mujoco_tracks_as_its_flags_say(tracks, monkeypatch):
+    """By steps of 2 ms, where none are named."""
+    made = []
+    monkeypatch.setattr(on_motions, "Twin", lambda robot, bodies, physics, drive: made.append(physics) or 1 / 0)
+    for options in (None, beginning.Options(dt=0.004, integrator="RK4", friction=0.5, soft_contact=True)):
+        with pytest.raises(ZeroDivisionError):
+            on_motions.measure_checkpoint(tracks, options=options, episodes=1, threads=1)
+    assert made == [Physics(0.002, friction=0.8), Physics(0.004, "RK4", 0.5, soft_contact=True)]
+    with pytest.raises(_core.ConfigError, match=r"dt = 0.003 s does not divide the control step"):
+        on_motions.measure_checkpoint(tracks, options=beginning.Options(dt=0.003), episodes=1, threads=1)
+    with pytest.raises(_core.ConfigError, match="--friction -1"):
+        on_motions.measure_checkpoint(tracks, options=beginning.Options(friction=-1.0), episodes=1, threads=1)
 
 
 def test_flags_of_velocities_are_refused(gets_up, tracks, capsys):

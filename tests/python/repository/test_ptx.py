@@ -36,10 +36,10 @@ def nvrtc() -> Path:
         pytest.skip(str(error))
 
 
-@pytest.fixture(scope="module")
-def text(nvrtc: Path) -> str:
-    """PTX of the text of the device."""
-    return ptx.compile_text(nvrtc)
+@pytest.fixture(scope="module", params=[1, 4])
+def text(nvrtc: Path, request: pytest.FixtureRequest) -> str:
+    """PTX of the text of the device, with as many threads for a robot."""
+    return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, f"-DLANES={request.param}"))
 
 
 def test_the_text_rounds_every_operation_to_nearest(text: str) -> None:

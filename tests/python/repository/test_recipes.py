@@ -13,12 +13,13 @@ from common import ROOT
 from lab import recipe
 from polypod import _core, bundled
 from polypod.evaluation import evaluate_checkpoint
+from polypod.motions.tracking import terms_of_task
 from polypod.new_robot import new_robot
 from polypod.runs import config
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """
-bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped", "--prefix", "d"]]
+bodies = [["--count", "2", "--seed", "1", "--kinds", "quadruped,quadruped_arm", "--prefix", "d"]]
 [groups]
 dogs = ["solo12"]
 [[stages]]
@@ -64,7 +65,7 @@ def made(tmp_path_factory) -> tuple[Path, Path]:
 def test_stages_leave_models_and_are_not_trained_again(made):
     folder, out = made
     manifest = json.loads((out / "student" / "manifest.json").read_text())
-    assert manifest["robots"] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert manifest["robots"] == ["solo12", "d_quadruped_0", "d_quadruped_arm_1"]
     assert manifest["overrides"] == ["sim.episode_length_s=0.4", "env_shares.solo12=3"]
     assert manifest["train_config"]["distillation"]["teachers"]["solo12"] == str(out / "teacher" / "model.pt")
     assert manifest["train_config"]["distillation"]["teachers"]["*"] == str(bundled.checkpoint("quadruped"))
@@ -81,8 +82,12 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     (model,) = (tmp_path / "policy").glob("model_*.pt")
     manifest = json.loads((tmp_path / "policy" / "manifest.json").read_text())
     assert manifest["robots"] == ["solo12"]
-    assert [body["name"] for body in manifest["trained_bodies"]] == ["solo12", "d_quadruped_0", "d_quadruped_1"]
+    assert [body["name"] for body in manifest["trained_bodies"]] == ["solo12", "d_quadruped_0", "d_quadruped_arm_1"]
     assert str(out) not in json.dumps(manifest)
+    # an arm that was drawn has slots that no robot of the library has
+    assert not [slot for slot in manifest["canonical_joint_names"] if slot.startswith("ARM_")]
+    columns = [joint["column"] for joint in manifest["joint_maps"]["solo12"]]
+    assert columns == manifest["robot_info"]["solo12"]["columns"] == list(range(12))
     found = evaluate_checkpoint(model, ["solo12", "unitree_h1"], num_envs=2, steps=3, threads=1)
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
 
@@ -110,7 +115,8 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     for stage in plan.stages:
         file = folder / stage.config
         task = config.load(str(file) if file.is_file() else stage.config).run.task
-        robots = plan.robots([name for name in stage.robots if not name.startswith("@drawn.")], tmp_path)
+        names = [name for name in stage.robots if not name.startswith("@drawn.")]
+        robots = plan.robots(names, tmp_path, without=stage.without)
         robots = [name for name in robots if not name.startswith(drawn)]
         assert set(robots) <= library, stage.name
         changes = tuple(change for change in stage.changes if not change.startswith("train."))
@@ -119,7 +125,47 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
         known.add(stage.name)
     for (task, changes), robots in tasks.items():
         if robots:
-            _core.VecSim(task, len(robots), robots=sorted(robots), overrides=list(changes), threads=1)
+            _, own = terms_of_task(task, sorted(robots), changes)
+            _core.VecSim(task, len(robots), robots=sorted(robots), overrides=own, threads=1)
+
+
+def test_a_stage_resembles_an_earlier_one_and_leaves_robots_out(tmp_path):
+    text = (
+        PLAN
+        + """
+[[stages]]
+name = "left_out"
+like = "student"
+iterations = 2
+without = ["solo12"]
+robots = ["@dogs", "drafted_solo12", "spot"]
+"""
+    )
+    (tmp_path / "plan.toml").write_text(text)
+    plan = recipe.read(tmp_path)
+    _, student, left_out = plan.stages
+    assert (left_out.config, left_out.seed, left_out.iterations) == (student.config, student.seed, 2)
+    words = recipe.command(plan, left_out, tmp_path, None)
+    assert words[words.index("--robots") + 1] == "spot"
+    assert "sim.episode_length_s=0.4" in words
+    assert not [word for word in words if "solo12" in word]
+
+
+def test_folds_leave_each_robot_out_once(tmp_path):
+    """No fold begins with a policy that saw its robots."""
+    plan = recipe.read(ROOT / "lab" / "recipes" / "wide")
+    student = next(stage for stage in plan.stages if stage.name == "student")
+    folds = [stage for stage in plan.stages if stage.name in {"fold_1", "fold_2", "fold_3", "fold_4"}]
+    library = {entry["name"] for entry in _core.robots()}
+    assert sorted(robot for fold in folds for robot in fold.without) == sorted(library)
+    names = [name for name in student.robots if not name.startswith("@drawn")]
+    for fold in folds:
+        assert not fold.init
+        seen = plan.robots(names, tmp_path, without=fold.without)
+        assert library.difference(seen) == set(fold.without)
+        assert not [robot for robot in seen if robot.removeprefix("drafted_") in fold.without]
+        words = " ".join(recipe.command(plan, fold, tmp_path, None))
+        assert not [robot for robot in fold.without if f"={robot}" in words or f".{robot}=" in words]
 
 
 def test_the_recipe_of_the_bundled_policy_has_all_robots(tmp_path):

@@ -116,12 +116,32 @@ def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
     assert fallen[~balanced].mean() <= 0.05, np.array(names)[fallen & ~balanced]
     assert env.state.valid.all()
     joints = {body.kind: {len(other.joints) for other in library if other.kind == body.kind} for body in library}
-    assert set(joints) == set(bodies.KINDS)
+    assert set(joints) == set(bodies.BY_DEFAULT)
     assert joints["quadruped"] == {12}
     assert joints["quadruped8"] == {8}
     assert joints["hexapod"] == {18}
     assert joints["biped"] <= {6, 10, 12}
     assert min(joints["humanoid"]) >= 16
+
+
+def test_an_arm_rides_on_the_quadruped_of_the_same_draw(tmp_path, monkeypatch):
+    """Its joints have slots of their own, and few of these bodies fall by the weight of it."""
+    made = bodies.generate(tmp_path / "arms", 12, seed=30, kinds=["quadruped_arm"], prefix="a")
+    without = [bodies.draw("quadruped", body.name, np.random.default_rng([30, i])) for i, body in enumerate(made)]
+    for body, legs in zip(made, without, strict=True):
+        assert body.links[: len(legs.links)] == legs.links
+        assert body.joints[:12] == legs.joints
+        assert all(joint.name.startswith("ARM_") for joint in body.joints[12:])
+        assert 1.03 * legs.mass <= body.mass <= 1.13 * legs.mass
+    assert {15, 16, 17} <= {len(body.joints) for body in made} <= {15, 16, 17, 18}
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "arms"))
+    env = polypod.make(bodies.TASK + "_play", 12, seed=0, autoreset="same_step")
+    env.reset()
+    actions = np.zeros((12, env.sim.num_actions), dtype=np.float32)
+    fallen = np.zeros(12, dtype=np.bool_)
+    for _ in range(300):
+        fallen |= env.step(actions)[2]
+    assert fallen.sum() <= 1
 
 
 def test_roles_follow_from_geometry(library, tmp_path):

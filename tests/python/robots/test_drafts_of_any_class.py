@@ -256,13 +256,76 @@ def test_feet_whose_meshes_are_missing_are_boxes_of_their_inertia(tmp_path, part
 
 def test_what_is_above_an_ankle_is_no_foot(tmp_path):
     """A foot without shape and with almost no inertia: its shank reaches the ground first."""
-    text = crooked(0.02, 0.79)
-    for name in ("l5", "l6", "r5", "r6"):
+    text = without_shapes(crooked(0.02, 0.79), ("l5", "l6", "r5", "r6"))
+    for name in ("l6", "r6"):
+        at = text.index('<mass value="', text.index(f'<link name="{name}">'))
+        text = f'{text[:at]}<mass value="0.0005"{text[text.index("/>", at) :]}'
+    with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
+        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["crooked.urdf"]
+
+
+def without_shapes(text, links):
+    for name in links:
         at = text.index(f'<link name="{name}">')
         begin, end = text.index("<collision>", at), text.index("</collision>", at) + len("</collision>")
         text = text[:begin] + text[end:]
+    return text
+
+
+ALL_OF_THE_LEGS = ("l1", "l2", "l3", "l4", "l5", "l6", "r1", "r2", "r3", "r4", "r5", "r6")
+
+
+@pytest.mark.parametrize("links", [("l6", "r6"), ("l5", "l6", "r5", "r6"), ALL_OF_THE_LEGS])
+def test_feet_of_a_file_without_shapes_are_boxes_of_their_inertia(tmp_path, links):
+    """In a copy of the file next to the draft; the file itself is refused by every reader."""
+    whole = crooked(0.02, 0.79)
+    text = without_shapes(whole, links)
+    urdf = write(tmp_path / "maker" / "bare.urdf", text)
+    made = new_robot(urdf, tmp_path / "draft.toml")
+    assert urdf.read_text() == text
+    config = tomllib.loads(made.path.read_text())
+    assert config["urdf"] == "bare_with_feet.urdf"
+    assert config["feet"] == {"L": "l6", "R": "r6"}
+    notes = [note for note in made.notes if "no limb's end has a <collision>" in note]
+    assert [note.split('"')[1] for note in notes] == ["l6", "r6"]
+    assert made.standing.holds, made
+    (info,) = json.loads(is_usable(made).sim.robot_info()).values()
+    # the feet's shapes were boxes of uniform density
+    known = new_robot(write(tmp_path / "whole.urdf", whole), tmp_path / "whole.toml")
+    (of_known,) = json.loads(is_usable(known).sim.robot_info()).values()
+    assert info["base_height"] == pytest.approx(of_known["base_height"], abs=1e-3)
+    # other readers see what the file says
+    assert "l6" not in [
+        body.split()[0] for body in _core.check(urdf).partition("contact bodies")[2].splitlines() if body
+    ]
+    with pytest.raises(_core.ConfigError, match=r"bare_with_feet\.urdf is there already; pass --force"):
+        new_robot(urdf, tmp_path / "other.toml")
+    assert new_robot(urdf, tmp_path / "draft.toml", force=True).path == made.path
+
+
+def test_a_file_with_the_shape_of_one_foot_lacks_the_other(tmp_path):
+    """Its maker forgot it: nothing takes its place."""
+    text = without_shapes(crooked(0.02, 0.79), ["l6", "l5"])
     with pytest.raises(_core.RobotError, match="leg L has no collision shape for a foot there"):
-        new_robot(write(tmp_path / "crooked.urdf", text), tmp_path / "draft.toml")
+        new_robot(write(tmp_path / "half.urdf", text), tmp_path / "half.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["half.urdf"]
+
+
+def test_a_copy_with_boxes_finds_the_meshes_of_the_file(tmp_path):
+    """The trunk has a mesh by a relative name, in another folder than the draft."""
+    text = without_shapes(crooked(0.02, 0.79), ("l5", "l6", "r5", "r6"))
+    text = text.replace('<box size="0.12 0.16 0.24"/>', '<mesh filename="meshes/trunk.obj"/>')
+    urdf = write(tmp_path / "maker" / "bare.urdf", text)
+    corners = [(x, y, z) for x in (-0.06, 0.06) for y in (-0.08, 0.08) for z in (-0.12, 0.12)]
+    write(
+        tmp_path / "maker" / "meshes" / "trunk.obj", "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "f 1 2 3 4\n"
+    )
+    (tmp_path / "drafts").mkdir()
+    made = new_robot(urdf, tmp_path / "drafts" / "draft.toml")
+    assert "../maker/meshes/trunk.obj" in (tmp_path / "drafts" / "bare_with_feet.urdf").read_text()
+    assert not [note for note in made.notes if "trunk.obj" in note and "not found" in note], made.notes
+    is_usable(made)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.06])
@@ -286,6 +349,7 @@ def test_a_waist_between_the_base_and_the_legs_is_a_torso(tmp_path, aside):
 
 
 def write(file, text):
+    file.parent.mkdir(exist_ok=True)
     file.write_text(text)
     return file
 

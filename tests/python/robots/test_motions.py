@@ -153,7 +153,8 @@ def test_retargeting_says_what_is_lost_and_keeps_feet_still():
     walk = library.clip_of("walk", "unitree_g1")
     made = retarget.retarget(walk, g1, h1)
     scale = h1.leg / g1.leg
-    np.testing.assert_allclose(made.base_pos[-1, 0], scale * walk.base_pos[-1, 0], rtol=1e-6)
+    way, whole = (np.subtract(*clip.base_pos[[-1, 0], 0]) for clip in (made, walk))
+    np.testing.assert_allclose(way, scale * whole, rtol=1e-6)
     notes = "\n".join(made.notes)
     assert f"base and feet go {scale:.2f} times as far" in notes
     assert "unitree_h1 has no L_ANKLE_ROLL, which turns by up to" in notes
@@ -221,6 +222,22 @@ def test_steps_press_on_the_foot_that_stands(name, robot):
         away = points[alone] - feet[alone, side, :2]
         left = np.stack([-np.sin(yaw[alone, side]), np.cos(yaw[alone, side])], axis=-1)
         assert np.abs((away * left).sum(axis=1)).max() < 0.035
+
+
+@pytest.mark.parametrize("robot", HUMANOIDS)
+def test_ankles_bear_motions_on_one_foot(robot):
+    """H1's default pose takes 0.87 of an ankle's limit, which leaves nothing to balance with."""
+    body, source = body_of(robot), body_of("unitree_g1")
+    drawn = [library.clip_of(name, robot) for name in ("wave", "turn", "walk")]
+    sim = _core.Simulation(robot, 1, threads=1)
+    ankle = int(body.joint_of_slot[body.slots.index("L_ANKLE_PITCH")])
+    for clip in [*drawn, retarget.retarget(library.clip_of("squat", "unitree_g1"), source, body)]:
+        qpos = body.qpos(clip)[:1]
+        sim.set_state(qpos=qpos)
+        position, _ = body.kinematics(qpos)
+        feet = position[0, [body.links.index(body.foot(side)) for side in range(2)], 0]
+        moment = abs(float(sim.center_of_mass()[0, 0] - feet.mean())) * sim.total_mass * 9.81
+        assert moment < 0.45 * sim.effort_limit[ankle], clip.name
 
 
 def test_a_pendulum_sways_as_its_zero_moment_point_asks():

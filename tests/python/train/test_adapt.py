@@ -281,6 +281,28 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
     assert manifest["overrides"] == []
 
 
+def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_path, measured, monkeypatch):
+    falls = dataclasses.replace(bad(0.4), **AT_ONCE)
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
+    # no measurement beats the policy
+    measured(falls, falls, falls)
+    (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
+    done = cli("adapt", "unitree_h1", *FLAGS, "--max-minutes", "0.0001")
+    assert done.returncode == 3, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*")
+    (unfinished,) = run.glob("model_*.pt")
+    text = " ".join(done.stdout.split())
+    assert "The best policy is legged; the separate network does not beat it yet" in text
+    go_on = f"polypod adapt unitree_h1 --checkpoint {unfinished.relative_to(tmp_path)} --train-config adapt_separate"
+    assert text.endswith(go_on)
+    # as the command says, but for the size of the training
+    measured(falls, FIGURES, FIGURES)
+    words = go_on.split()[1:-2]
+    done = cli(*words, *FLAGS)
+    assert done.returncode == 0, done.stderr
+    assert f"begins with {unfinished.relative_to(tmp_path)}" in " ".join(done.stdout.split())
+
+
 @pytest.mark.parametrize(
     ("options", "has_gpu", "falls", "begins"),
     [

@@ -90,6 +90,28 @@ def test_labels_are_what_each_teacher_does_in_its_own_task(specialist):
         vec.step(torch.from_numpy(rng.normal(0.0, 0.5, (7, env.sim.num_actions)).astype(np.float32)))
 
 
+def test_a_teacher_holds_the_joints_that_it_never_had():
+    """The arm stays at its default pose, and the legs do what they do without an arm."""
+    robots = ["anymal_b_kinova", "anymal_b"]
+    changes = [*GROUPS, *STILL]
+    env = polypod.make(TASK, 4, robots=robots, seed=3, threads=1, overrides=changes, autoreset="same_step")
+    vec = VecEnv(env, "cpu")
+    path = {"*": str(polypod.runs.resolve(Path("quadruped")))}
+    holds, sees = (Teachers(env.sim, ["teacher"], path, "cpu", holds=holds) for holds in (True, False))
+    loaded = policy.load(Path("quadruped"), robots=["anymal_b"])
+    columns = json.loads(env.sim.robot_info())["anymal_b"]["columns"]
+    arm = np.array([slot.startswith("ARM_") for slot in env.sim.canonical_joint_names])
+    rng = np.random.default_rng(0)
+    for _ in range(4):
+        observations = vec.get_observations()
+        held, seen = holds(observations).numpy(), sees(observations).numpy()
+        assert not held[:, arm].any()
+        assert np.abs(seen[:2, arm]).max() > 0.05
+        wanted = expected(loaded, "anymal_b", env.sim, observations["teacher"].numpy())
+        assert np.abs(held[:, columns] - wanted).max() <= 1e-5
+        vec.step(torch.from_numpy(rng.normal(0.0, 0.5, (4, env.sim.num_actions)).astype(np.float32)))
+
+
 def expected(loaded, robot, student, seen) -> np.ndarray:
     """Actions of a policy's own `act` for its observation, written out term by term."""
     slots, mine = student.canonical_joint_names, loaded.joint_names
@@ -315,6 +337,11 @@ def test_a_student_that_remembers_learns_in_the_loop_of_rsl_rl(specialist, tmp_p
         (["train.distillation={teachers={'*'='quadruped'}, teacher_share=1.5}"], "must be from 0 to 1"),
         (["train.distillation={teachers={'*'=3}}"], r"teachers.* must be of type"),
         (["train.distillation={teachers={'*'='quadruped'}, weights='joints'}"], "weights = 'joints' is not one of"),
+        (
+            ["train.distillation={teachers={'*'='quadruped'}, unknown_joints='moved'}"],
+            "unknown_joints = 'moved' is not one of seen, held",
+        ),
+        (["train.distillation={teachers={'*'=PHANTOMX}, unknown_joints='held'}"], "joints it does not know at all"),
         (["train.distillation={teachers={'*'='quadruped'}, final_learning_rate=0.0}"], "must be above 0 and at most 1"),
         (["train.distillation={teacher='quadruped'}"], "for bodies with the same joints.*distillation.teachers"),
         (

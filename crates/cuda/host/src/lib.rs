@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::{env, fs, io};
 
 use libloading::Library;
-use polypod_cuda::{Block, Columns, DEVICE_TEXT, Device, DeviceBlock, DeviceError, Parts, Shape, Tables};
+use polypod_cuda::{Block, DEVICE_TEXT, Device, DeviceBlock, DeviceError, Exchange, Parts, Shape, Tables};
 
 /// `Block` of `device/step.cu`.
 #[repr(C)]
@@ -22,6 +22,7 @@ struct Arguments {
     drive: *const f32,
     state: *mut f32,
     report: *mut f32,
+    host: *mut f32,
     grid: *const f32,
     work: *mut f32,
     work_integers: *mut c_int,
@@ -30,12 +31,15 @@ struct Arguments {
     capacity: c_int,
     first: c_int,
     end: c_int,
+    warp: c_int,
 }
 
 type Step = unsafe extern "C" fn(*const Arguments);
 
 unsafe extern "C" {
     fn polypod_control_step(block: *const Arguments);
+    #[cfg(target_os = "linux")]
+    fn polypod_control_step_by_threads(block: *const Arguments);
 }
 
 /// The text of one morphology, in which all sizes are constants.
@@ -87,6 +91,19 @@ pub fn step_on_host(block: &mut Block, substeps: Range<usize>) -> bool {
     step_with(polypod_control_step, block, substeps)
 }
 
+/// As [`step_on_host`], with several threads for each robot, as on a card. They are coroutines,
+/// which go on in random order from where they met.
+#[cfg(target_os = "linux")]
+pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
+    step_with(polypod_control_step_by_threads, block, substeps)
+}
+
+/// As [`step_on_host`].
+#[cfg(not(target_os = "linux"))]
+pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
+    step_on_host(block, substeps)
+}
+
 fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
     let whole = |x: usize| c_int::try_from(x);
     let (Ok(first), Ok(end), Ok(robots), Ok(capacity)) =
@@ -106,6 +123,7 @@ fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
         drive: drive.as_ptr(),
         state: state.as_mut_ptr(),
         report: report.as_mut_ptr(),
+        host: std::ptr::null_mut(),
         grid: grid.as_ptr(),
         work: work.as_mut_ptr(),
         work_integers: work_integers.as_mut_ptr(),
@@ -114,6 +132,7 @@ fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
         capacity,
         first,
         end,
+        warp: 0,
     };
     // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
     // text; it keeps no pointer
@@ -141,8 +160,8 @@ impl DeviceBlock for HostBlock {
         self.0.shape()
     }
 
-    fn columns(&mut self) -> Columns<'_> {
-        self.0.columns()
+    fn exchange(&mut self) -> Exchange<'_> {
+        self.0.exchange()
     }
 
     fn set_parameters(&mut self, all: &[f32], shared: bool, _changed: &[usize]) -> Result<(), DeviceError> {

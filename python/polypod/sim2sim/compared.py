@@ -1,0 +1,51 @@
+"""Comparisons of both simulators, whatever the policy is asked for."""
+
+import dataclasses
+from typing import Any, Generic, Protocol, TypeVar
+
+from polypod.evaluation.results import finite
+from polypod.provenance import Measured
+from polypod.sim2sim.twin import Physics
+
+
+class Both(Protocol):
+    """One robot in both simulators, a dataclass."""
+
+    @property
+    def transfers(self) -> bool:
+        """Whether it does in MuJoCo what it is asked for."""
+
+
+Robot = TypeVar("Robot", bound=Both)
+
+
+@dataclasses.dataclass(frozen=True)
+class Compared(Generic[Robot]):
+    """All robots, and what they were measured on."""
+
+    command: str
+    """The command line that compares the same again."""
+    task: str
+    envs_per_robot: int
+    seed: int
+    duration_s: float
+    mujoco_version: str
+    physics: Physics
+    robots: dict[str, Robot]
+    measured: Measured
+
+    @property
+    def transfers(self) -> bool:
+        """Whether all robots do."""
+        return all(robot.transfers for robot in self.robots.values())
+
+    def judged(self, robot: Robot) -> dict[str, Any]:
+        """Judgement of a robot by its figures, for JSON."""
+        return {"transfers": robot.transfers}
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same, for JSON."""
+        whole = dataclasses.asdict(self)
+        robots = {name: {**whole["robots"][name], **self.judged(robot)} for name, robot in self.robots.items()}
+        content: dict[str, Any] = finite({**whole, "transfers": self.transfers, "robots": robots})
+        return content
