@@ -125,7 +125,7 @@ def test_they_are_of_all_kinds_and_stand_in_one_batch(library):
 
 
 def test_an_arm_rides_on_the_quadruped_of_the_same_draw(tmp_path, monkeypatch):
-    """Its joints have slots of their own, and few of these bodies fall by the weight of it."""
+    """Its joints have separate slots, and few of these bodies fall by the weight of it."""
     made = bodies.generate(tmp_path / "arms", 12, seed=30, kinds=["quadruped_arm"], prefix="a")
     without = [bodies.draw("quadruped", body.name, np.random.default_rng([30, i])) for i, body in enumerate(made)]
     for body, legs in zip(made, without, strict=True):
