@@ -1,13 +1,14 @@
 """The policies in examples/policies do what the pages say of them."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from common import ROOT
-from polypod import _core
+from polypod import _core, robustness
 from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
 from polypod.policy import load
@@ -16,7 +17,8 @@ from polypod.sim2sim import beginning, on_motions, on_rising
 
 FOLDER = ROOT / "examples" / "policies"
 ALL = sorted(path.parent for path in FOLDER.glob("*/manifest.json"))
-ROUGH = sorted(folder.name for folder in ALL if folder.name.startswith("rough_"))
+OF_ALL = ("rough_all", "rough_blind")
+ROUGH = sorted(folder.name for folder in ALL if folder.name.startswith("rough_") and folder.name not in OF_ALL)
 
 
 def model(name):
@@ -29,9 +31,10 @@ def test_they_hold_an_actor_and_nothing_of_the_machine(folder):
     state = torch.load(model(folder.name), weights_only=True)
     assert state.keys() == {"actor_state_dict", "iter", "infos"}
     manifest = json.loads((folder / run_dir.MANIFEST).read_text(encoding="utf-8"))
-    assert '"/' not in json.dumps(manifest), "an absolute path"
+    bodies = [{**body, "numbers": ""} for body in manifest.get("trained_bodies", [])]
+    assert '"/' not in json.dumps({**manifest, "trained_bodies": bodies}), "an absolute path"
     assert manifest["overrides"] == []
-    recipe = "rough" if folder.name.startswith("rough_") else "skills"
+    recipe = "wide" if folder.name == "wide" else "rough" if folder.name.startswith("rough_") else "skills"
     assert manifest["command"] == f"python -m lab.recipe lab/recipes/{recipe}"
 
 
@@ -130,3 +133,32 @@ def test_humanoids_climb_stairs_of_fifteen_centimetres(name, monkeypatch):
     assert share.pop("pyramid_stairs") >= 0.85
     assert share.pop("pyramid_stairs_inv") >= 0.85
     assert min(share.values()) >= 0.95
+
+
+@pytest.mark.parametrize("name", OF_ALL)
+def test_one_policy_walks_on_rough_ground_with_robots_of_all_classes(name, monkeypatch):
+    """Levels 0 to 5 of tiles that no training saw; a blind policy is judged without stairs."""
+    monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "rough"))
+    terrain = ("num_rows=6", "num_cols=12", "max_init_terrain_level=5", "difficulty_range=[0.0, 0.6]", "seed=78")
+    overrides = [*(f"scene.terrain.{change}" for change in terrain), "env_shares={}"]
+    found = evaluate_checkpoint(model(name), num_envs=19 * 16, seed=5, threads=2, overrides=overrides)
+    assert len(found.robots) == 19
+    if name == "rough_all":
+        for robot, result in found.robots.items():
+            assert result.success_rate >= 0.8, robot
+        return
+    for kind in ("random_rough", "hf_pyramid_slope_inv"):
+        tiles = [tile for result in found.robots.values() for tile in result.terrain[kind]]
+        assert sum(tile.episodes * tile.success for tile in tiles) >= 0.9 * sum(tile.episodes for tile in tiles), kind
+
+
+def test_a_policy_of_many_bodies_forgives_a_wrong_description():
+    """Masses, lengths, gains and efforts wrong by up to 20 %, with which `legged` falls."""
+    options = robustness.Options(("description_20",), ("polypod",), num_envs=8, steps=500, threads=2)
+    robots = ["unitree_a1", "spot", "unitree_h1", "cassie", "phantomx"]
+    bundled, falls = Path("legged"), {}
+    for policy in (model("wide"), bundled):
+        (row,) = robustness.measure(policy, robots, options).rows
+        falls[policy] = np.mean([result.fall_rate for result in row.robots.values()])
+    assert falls[model("wide")] <= 0.1
+    assert falls[bundled] >= 0.4
