@@ -7,13 +7,12 @@ link's inertia takes the place of its shape, as it does where a mesh is missing
 
 import dataclasses
 import math
-import os
 import re
 from collections.abc import Collection
 from pathlib import Path
 from xml.etree import ElementTree
 
-from polypod.files import read_bytes, real_path
+from polypod.files import read_bytes, real_path, relative_path
 
 MOVING = ("revolute", "continuous", "prismatic")
 SUBSTANTIAL = 0.1
@@ -159,7 +158,4 @@ def _from(folder: Path, urdf: Path, mesh: str, packages: Collection[str]) -> str
         found = near / mesh.removeprefix("file://")
     if found is None or not found.is_file():
         return mesh
-    try:
-        return Path(os.path.relpath(found, real_path(folder))).as_posix()
-    except ValueError:  # another drive
-        return found.as_posix()
+    return relative_path(found, folder)

@@ -69,6 +69,14 @@ def real_path(path: str | os.PathLike[str]) -> Path:
     return Path(os.path.realpath(path))
 
 
+def relative_path(file: Path, folder: Path) -> str:
+    """The way from a folder to a file, with forward slashes; whole where no way leads there."""
+    try:
+        return Path(os.path.relpath(file, real_path(folder))).as_posix()
+    except ValueError:  # another drive
+        return file.as_posix()
+
+
 def write_text(path: Path, text: str) -> None:
     """Writes a text in UTF-8. Errors are those of `write_bytes`."""
     write_bytes(path, text.encode())

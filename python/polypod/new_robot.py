@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from polypod import _core, bare_ends
 from polypod.compat import tomllib
-from polypod.files import real_path, write_text
+from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
 
 Draft: TypeAlias = "_core.RobotDraft"
@@ -131,7 +131,7 @@ def new_robot(
     boxes = None if urdf_key else bare_ends.boxed(urdf, folder, locked_joints or {}, package_dirs or {})
     drafted: Callable[..., Draft]
     if boxes is None:
-        drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or _relative(urdf, folder))
+        drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or relative_path(real_path(urdf), folder))
     else:
         drafted = _drafts_on(boxes, folder / f"{urdf.stem}_with_feet.urdf", drafts_of, out, force)
     text, tell = "", progress or (lambda part, done, total: None)
@@ -267,11 +267,3 @@ def task_of(robot: Path) -> str:
     joints = tomllib.loads(robot.read_text(encoding="utf-8"))["default_pose"]
     is_quadruped = len(joints) == 12 and all(joint.endswith(("_HAA", "_HFE", "_KFE")) for joint in joints)
     return TASK if is_quadruped else TASK_OF_OTHERS
-
-
-def _relative(file: Path, folder: Path) -> str:
-    file = real_path(file)
-    try:
-        return Path(os.path.relpath(file, real_path(folder))).as_posix()
-    except ValueError:  # another drive
-        return file.as_posix()

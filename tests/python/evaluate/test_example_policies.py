@@ -17,6 +17,7 @@ from polypod.sim2sim import beginning, on_motions, on_rising
 
 FOLDER = ROOT / "examples" / "policies"
 ALL = sorted(path.parent for path in FOLDER.glob("*/manifest.json"))
+RECIPE_OF_ROUGH = str(ROOT / "lab" / "recipes" / "rough")
 OF_ALL = ("rough_all", "rough_blind")
 ROUGH = sorted(folder.name for folder in ALL if folder.name.startswith("rough_") and folder.name not in OF_ALL)
 
@@ -34,7 +35,7 @@ def test_they_hold_an_actor_and_nothing_of_the_machine(folder):
     bodies = [{**body, "numbers": ""} for body in manifest.get("trained_bodies", [])]
     assert '"/' not in json.dumps({**manifest, "trained_bodies": bodies}), "an absolute path"
     assert manifest["overrides"] == []
-    recipe = "wide" if folder.name == "wide" else "rough" if folder.name.startswith("rough_") else "skills"
+    recipe = {"wide": "wide", "rough": "rough"}.get(folder.name.partition("_")[0], "skills")
     assert manifest["command"] == f"python -m lab.recipe lab/recipes/{recipe}"
 
 
@@ -119,13 +120,18 @@ def test_humanoids_walk_as_drawn_in_mujoco(robot):
         assert found[robot]["walk"].followed == 1.0, name
 
 
+def on_tiles(name, terrain, *, num_envs, seed):
+    """Evaluation on tiles, with as many envs of each robot."""
+    overrides = [*(f"scene.terrain.{change}" for change in terrain), "env_shares={}"]
+    return evaluate_checkpoint(model(name), num_envs=num_envs, seed=seed, threads=2, overrides=overrides)
+
+
 @pytest.mark.parametrize("name", ROUGH)
 def test_humanoids_climb_stairs_of_fifteen_centimetres(name, monkeypatch):
     """Level 5 alone: steps of 14 to 16 cm, up and down, and the other types of tile."""
-    monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "rough"))
+    monkeypatch.setenv("POLYPOD_PATH", RECIPE_OF_ROUGH)
     terrain = ("num_rows=1", "num_cols=20", "max_init_terrain_level=0", "difficulty_range=[0.5, 0.6]", "seed=77")
-    overrides = [f"scene.terrain.{change}" for change in terrain]
-    found = evaluate_checkpoint(model(name), num_envs=160, seed=1, threads=2, overrides=overrides)
+    found = on_tiles(name, terrain, num_envs=160, seed=1)
     (result,) = found.robots.values()
     assert result.success_rate >= 0.9
     share = {kind: tile.success for kind, (tile,) in result.terrain.items()}
@@ -138,10 +144,9 @@ def test_humanoids_climb_stairs_of_fifteen_centimetres(name, monkeypatch):
 @pytest.mark.parametrize("name", OF_ALL)
 def test_one_policy_walks_on_rough_ground_with_robots_of_all_classes(name, monkeypatch):
     """Levels 0 to 5 of tiles that no training saw; a blind policy is judged without stairs."""
-    monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "rough"))
+    monkeypatch.setenv("POLYPOD_PATH", RECIPE_OF_ROUGH)
     terrain = ("num_rows=6", "num_cols=12", "max_init_terrain_level=5", "difficulty_range=[0.0, 0.6]", "seed=78")
-    overrides = [*(f"scene.terrain.{change}" for change in terrain), "env_shares={}"]
-    found = evaluate_checkpoint(model(name), num_envs=19 * 16, seed=5, threads=2, overrides=overrides)
+    found = on_tiles(name, terrain, num_envs=19 * 16, seed=5)
     assert len(found.robots) == 19
     if name == "rough_all":
         for robot, result in found.robots.items():
