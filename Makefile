@@ -121,7 +121,7 @@ bench: build ## Measure the speed, beside MuJoCo in the same run (ARGS="--quick"
 	$(BIN)/polypod bench $(ARGS)
 
 accuracy: build ## Compare the physics with MuJoCo and write the tables
-	$(BIN)/polypod accuracy --out docs/accuracy.md --readme README.md $(ARGS)
+	$(BIN)/python -m lab.accuracy --out docs/accuracy.md --readme README.md $(ARGS)
 
 lint: $(VENV)/.dependencies $(if $(FIX),.format) ## Check formatting, lints, types, import directions, documentation (FIX=1 formats first)
 	cargo fmt --all --check

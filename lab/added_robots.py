@@ -21,10 +21,10 @@ from importlib import metadata
 from pathlib import Path
 
 from polypod import _core, documents
-from polypod.accuracy.reference import mujoco, version
 from polypod.add import add, judge, mjcf
 from polypod.compat import tomllib
 from polypod.documents import table
+from polypod.mujoco_model.reference import mujoco, version
 from polypod.provenance import measured, sentence
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -230,16 +230,12 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
     ),
     "terms": ((Positional("gait"), "--kind", "rewards"), {"": [*NAMES, "x"], "--kind": NAMES, "--terms": FILES}),
     "schema": ((Positional("train"),), {"": NAMES}),
-    "accuracy": (
-        ("--robots", "nobody"),
-        {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"], "--out": FILES, "--readme": FILES},
-    ),
+    "accuracy": (("--robots", "nobody"), {"--robots": ["", ",", "x"], "--quadrupeds": ["", ",", "x"]}),
     "bench": (
         ("--robot", "nobody"),
         {"--num-envs": COUNTS, "--threads": COUNTS, "--step-threads": COUNTS, "--largest": COUNTS, "--seed": _SEEDS}
-        | {"--robot": NAMES, "--json": OUTPUTS, "--plot": OUTPUTS, "--train-config": FILES, "--seeds": COUNTS}
-        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]}
-        | {"--kinds": ["", ",", "x", "bolt", "x,y"], "--robots": NAMES},
+        | {"--robot": NAMES, "--json": OUTPUTS, "--train-config": FILES}
+        | {"--workers": ["", "x", "1,", "0", "-1", "1.5", "64", "9" * 40], "--device": ["", "gpu", "cuda:0"]},
     ),
     "list": ((), {"": NAMES}),
     "info": ((), {"": NAMES}),
@@ -261,7 +257,7 @@ _POLYPOD_SWITCHES = {
     "robot": ("--force", "--no-force"),
     "motions": ("--ground", "--no-ground", "--mujoco", "--no-mujoco"),
     "bodies": ("--force", "--no-force", "--wide", "--no-wide"),
-    "bench": ("--quick", "--no-quick", "--learner", "--no-learner", "--walk", "--no-walk"),
+    "bench": ("--quick", "--no-quick", "--learner", "--no-learner"),
 }
 _SIM: dict[str, tuple[Line, dict[str, list[str]]]] = {
     "rollout": (

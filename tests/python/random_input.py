@@ -307,7 +307,7 @@ def _flags(draw: random.Random, command: str, flags: dict[str, list[str | None]]
     words: list[str] = []
     left_out = {"--ray", "--logger", "--device", "--host", "--port"}
     if command == "bench":  # these measure for minutes, without a robot to be refused
-        left_out |= {"--workers", "--walk", "--no-walk", "--learner", "--no-learner"}
+        left_out |= {"--workers", "--learner", "--no-learner"}
     names = [
         flag
         for flag in sorted(flags)

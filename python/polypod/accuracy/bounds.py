@@ -1,21 +1,18 @@
-"""Largest deviations that `polypod accuracy` accepts, each with its reason.
+"""Largest deviations of a robot from MuJoCo that `polypod accuracy` accepts, each with its reason.
 
-The tests assert these bounds for every robot, README.md and docs/accuracy.md show them, and the
+The tests assert these bounds for every robot of the library, docs/accuracy.md shows them, and the
 command fails where a figure exceeds one.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from polypod.accuracy.engines import Engines
 from polypod.accuracy.file import FileResult
-from polypod.accuracy.friction import Slide, Slope
 from polypod.accuracy.motion import StepResponse
 from polypod.accuracy.standing import FIRM, Drop, SlopeRest, Standing
 from polypod.accuracy.statics import StaticsResult
-from polypod.accuracy.sweeps import MANY, USUAL, Sweeps
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,13 +39,13 @@ class Bound:
     front_page: bool = True
     """Whether README.md shows it."""
 
-    def figures(self, result: object) -> Iterable[tuple[str, float]]:
+    def figures(self, result: Any) -> Iterable[tuple[str, float]]:
         """The figure of a comparison, with the name of the robot or case.
 
         None where the bound does not apply.
         """
         figure = self.figure(result) if isinstance(result, self.result) else None
-        return [] if figure is None else [(case(result), figure)]
+        return [] if figure is None else [(result.case, figure)]
 
     def holds(self, figure: float) -> bool:
         """Whether a figure is a number within the bound."""
@@ -65,33 +62,6 @@ class Bound:
         return f"{most.replace('e-0', 'e-')}{self.unit}"
 
 
-def case(result: Any) -> str:
-    """Name of what was compared: the robot, or the block."""
-    match result:
-        case Drop():
-            return f"{result.robot}, {result.gains:g} times its gains"
-        case SlopeRest():
-            return f"{result.robot}, {result.uphill} uphill"
-        case Slide():
-            direction = math.degrees(result.direction)
-            return f"block, friction {result.friction:g}, {result.speed:g} m/s, {direction:.0f} degrees"
-        case Slope():
-            return f"block, friction {result.friction:g}, slope of {math.degrees(result.angle):g} degrees"
-        case _:
-            return str(result.robot)
-
-
-def exceeded(*results: object) -> list[str]:
-    """Names the figures of these comparisons that exceed a bound, in words."""
-    return [
-        f"{name}: {bound.quantity}, {bound.measured}: {bound.text(figure)} exceeds {bound.limit}"
-        for bound in BOUNDS
-        for result in results
-        for name, figure in bound.figures(result)
-        if not bound.holds(figure)
-    ]
-
-
 def _of(dtype: str) -> Callable[[FileResult], float | None]:
     return lambda result: result.worst() if result.dtype == dtype else None
 
@@ -102,14 +72,6 @@ def _if_firm(figure: Callable[[Drop], float]) -> Callable[[Drop], float | None]:
 
 def _unless_firm(figure: Callable[[Drop], float]) -> Callable[[Drop], float | None]:
     return lambda drop: None if drop.gains >= FIRM else figure(drop)
-
-
-def _error_of_sliding(slope: Slope) -> float | None:
-    return abs(slope.acceleration - slope.formula) if slope.formula > 0.0 else None
-
-
-def _way_below_the_cone(slope: Slope) -> float | None:
-    return abs(slope.distance) if slope.formula == 0.0 else None
 
 
 MILLI, DEGREES, PERCENT = 1e3, math.degrees(1.0), 100.0
@@ -261,69 +223,15 @@ BOUNDS: tuple[Bound, ...] = (
         scale=MILLI,
         reason="the solver ends its sweeps at changes below 0.5 mm/s; at rest they average out",
     ),
-    Bound(
-        "torques of the two engines, standing",
-        "difference, without dry friction",
-        Engines,
-        lambda r: r.torque_difference,
-        most=0.03,
-        unit=" %",
-        scale=PERCENT,
-        reason="gains times the legs' deflection, some 0.1 rad: feet that rest 1 mm apart change it by 3 %",
-        front_page=False,
-    ),
-    Bound(
-        f"error of the contact solver, {USUAL} sweeps",
-        "velocity of the base",
-        Sweeps,
-        lambda r: r.left[USUAL],
-        most=0.025,
-        unit=" mm/s",
-        scale=MILLI,
-        digits=".1f",
-        reason="a fortieth of a walk at 1 m/s, and a quarter of what the step of 5 ms costs the lightest robots",
-        front_page=False,
-    ),
-    Bound(
-        f"error of the contact solver, {MANY} sweeps",
-        "share of the step's error",
-        Sweeps,
-        lambda r: r.left[MANY] / r.step,
-        most=0.7,
-        reason="sweeps converge to less than the physics step leaves",
-        front_page=False,
-    ),
-    Bound(
-        "distance in which a block stops",
-        "error against the formula",
-        Slide,
-        lambda r: abs(r.distance / r.formula - 1.0),
-        most=0.01,
-        unit=" %",
-        scale=PERCENT,
-        reason="half a step's way, `v dt / 2`, is 0.8 % of the shortest distance",
-    ),
-    Bound(
-        "acceleration of a block that slides down a slope",
-        "error against the formula",
-        Slope,
-        _error_of_sliding,
-        most=3e-3,
-        unit=" m/s^2",
-        digits=".4f",
-        reason="steps move the block `a dt / t` too fast, 2.4 mm/s^2 on the steepest slope",
-        front_page=False,
-    ),
-    Bound(
-        "way of a block that holds on a slope",
-        "in 1 s",
-        Slope,
-        _way_below_the_cone,
-        most=1e-5,
-        unit=" mm",
-        scale=MILLI,
-        digits=".4f",
-        reason="`g dt^2`, the way of one step of free fall",
-        front_page=False,
-    ),
 )
+
+
+def exceeded(*results: Any, bounds: Sequence[Bound] = BOUNDS) -> list[str]:
+    """Names the figures of these comparisons that exceed one of the bounds, in words."""
+    return [
+        f"{name}: {bound.quantity}, {bound.measured}: {bound.text(figure)} exceeds {bound.limit}"
+        for bound in bounds
+        for result in results
+        for name, figure in bound.figures(result)
+        if not bound.holds(figure)
+    ]

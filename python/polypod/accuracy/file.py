@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 
-from polypod.accuracy.robot import Robot
+from polypod.accuracy.result import Result
 from polypod.add import judge
+from polypod.mujoco_model.robot import Robot
 
 
 @dataclasses.dataclass(frozen=True)
-class FileResult:
+class FileResult(Result):
     """Differences from MuJoCo's model of the file at random states, in one precision."""
 
-    robot: str
     dtype: str
     errors: judge.Errors
 

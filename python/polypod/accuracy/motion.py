@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 
 import polypod
-from polypod.accuracy.reference import GRAVITY, Integrator, Reference
-from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.result import Result
+from polypod.mujoco_model.reference import GRAVITY, Integrator, Reference
+from polypod.mujoco_model.robot import Array, Robot
 
 AMPLITUDE = 0.1
 """Size of the jump of a joint's target, rad."""
@@ -22,7 +23,7 @@ CONVERGED = 0.00025
 
 
 @dataclasses.dataclass(frozen=True)
-class StepResponse:
+class StepResponse(Result):
     """Worst deviation from the converged answer over all joints, times and jumps, rad.
 
     The base is fixed; the robot starts in its default pose at rest and one joint's target jumps by
@@ -30,7 +31,6 @@ class StepResponse:
     speed and position.
     """
 
-    robot: str
     gravity: bool
     """Whether gravity acts: where the gains hold the robot up. Elsewhere it topples like a pendulum
     on its head."""

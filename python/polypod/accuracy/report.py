@@ -1,19 +1,16 @@
-"""All comparisons, and the tables that the documentation shows of them."""
+"""All comparisons of robots with MuJoCo's models of their files."""
 
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import ClassVar
 
-from polypod import documents
-from polypod.accuracy import motion, reference, robot
 from polypod.accuracy.bounds import BOUNDS, Bound, exceeded
-from polypod.accuracy.engines import Engines, compare_engines, stands
 from polypod.accuracy.file import FileResult, compare_file
-from polypod.accuracy.friction import Slide, Slope, compare_slide, compare_slope
 from polypod.accuracy.motion import StepResponse, compare_step_responses
+from polypod.accuracy.result import Result
 from polypod.accuracy.standing import (
-    DT,
     FIRM,
     Drop,
     SlopeRest,
@@ -21,59 +18,39 @@ from polypod.accuracy.standing import (
     compare_drop,
     compare_slope_rest,
     compare_standing,
+    stands,
 )
 from polypod.accuracy.statics import StaticsResult, compare_statics
-from polypod.accuracy.sweeps import Sweeps, compare_sweeps
+from polypod.mujoco_model import reference, robot
 
 Progress = Callable[[str], None]
 """Is told what comes next."""
-
-MARK = "accuracy"
-"""Name of the part of a document that holds the tables."""
-BEGIN, END = documents.marks(MARK)
-
-SLIDES = ((0.2, 1.0, 0.0), (0.5, 2.0, 0.0), (0.5, 2.0, 0.6), (0.8, 1.0, 0.0), (1.0, 3.0, math.pi / 4))
-"""Friction, speed (m/s) and direction (rad) of the pushed blocks."""
-SLOPES = ((0.3, 30.0), (0.5, 20.0), (0.5, 26.0), (0.5, 27.2), (0.8, 20.0), (0.8, 38.0), (0.8, 39.3), (0.8, 45.0))
-"""Friction and angle (degrees) of the blocks on slopes; atan(0.5) is 26.57 and atan(0.8) 38.66
-degrees."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Report:
     """All comparisons."""
 
+    bounds: ClassVar[Sequence[Bound]] = BOUNDS
+    """Bounds of the figures."""
+
     mujoco: str
     """MuJoCo's version."""
-    statics: list[StaticsResult]
-    responses: list[StepResponse]
-    drops: list[Drop]
-    standing: list[Standing]
-    rests: list[SlopeRest]
-    sweeps: list[Sweeps]
-    engines: list[Engines]
-    slides: list[Slide]
-    slopes: list[Slope]
-    fallen: list[str]
+    statics: list[StaticsResult] = dataclasses.field(default_factory=list)
+    responses: list[StepResponse] = dataclasses.field(default_factory=list)
+    drops: list[Drop] = dataclasses.field(default_factory=list)
+    standing: list[Standing] = dataclasses.field(default_factory=list)
+    rests: list[SlopeRest] = dataclasses.field(default_factory=list)
+    fallen: list[str] = dataclasses.field(default_factory=list)
     """Robots that fall in their default pose, although their configs do not say so."""
     files: list[FileResult] = dataclasses.field(default_factory=list)
     """Results of robots that come from MJCF files."""
     origins: dict[str, Path] = dataclasses.field(default_factory=dict)
     """The MJCF files by robot."""
 
-    def results(self) -> list[object]:
+    def results(self) -> list[Result]:
         """All comparisons."""
-        lists = (
-            self.files,
-            self.statics,
-            self.responses,
-            self.drops,
-            self.standing,
-            self.rests,
-            self.sweeps,
-            self.engines,
-        )
-        return [result for found in (*lists, self.slides, self.slopes) for result in found]
+        return [*self.files, *self.statics, *self.responses, *self.drops, *self.standing, *self.rests]
 
     def worst(self, bound: Bound) -> tuple[str, float] | None:
         """The largest figure of a bound, or one that is no number, with its owner; or None."""
@@ -82,7 +59,7 @@ class Report:
 
     def verdict(self) -> str:
         """One line on a report that keeps all bounds: its largest figure over the bound."""
-        found = [(worst[1] / bound.most, bound, worst) for bound in BOUNDS if (worst := self.worst(bound)) is not None]
+        found = [(worst[1] / bound.most, bound, worst) for bound in self.bounds if (worst := self.worst(bound))]
         _, bound, (name, figure) = max(found, key=lambda entry: entry[0])
         return (
             f"{len(found)} of {len(found)} bounds are kept; the nearest is that of {bound.quantity}, {bound.measured}: "
@@ -92,7 +69,8 @@ class Report:
     def broken(self) -> list[str]:
         """Names the figures that exceed their bounds, in words."""
         remedy = "let its config say why only a policy can balance it, in `needs_policy`, or give it gains that hold it"
-        return exceeded(*self.results()) + [f"{name}: falls in its default pose; {remedy}" for name in self.fallen]
+        falls = [f"{name}: falls in its default pose; {remedy}" for name in self.fallen]
+        return exceeded(*self.results(), bounds=self.bounds) + falls
 
 
 def measure(names: Sequence[str] | None = None, progress: Progress = print) -> Report:
@@ -107,40 +85,24 @@ def measure(names: Sequence[str] | None = None, progress: Progress = print) -> R
         ConfigError: for a robot that cannot be compared.
     """
     robots = [robot.load(name) for name in names or robot.names()]
-    report = Report(reference.version(), [], [], [], [], [], [], [], [], [], [])
+    report = Report(reference.version())
     for each in robots:
         if each.origin is not None:
             progress(f"{each.name}: MuJoCo's model of the file, {each.origin.file}")
             report.origins[each.name] = each.origin.file
             report.files.extend(compare_file(each))
-        progress(f"{each.name}: identities, step responses, sweeps")
-        converged = motion.converged_jumps(each)
+        progress(f"{each.name}: identities, step responses")
         report.statics.append(compare_statics(each))
-        report.responses.append(compare_step_responses(each, converged))
-        report.sweeps.append(compare_sweeps(each))
+        report.responses.append(compare_step_responses(each))
         if each.needs_policy:
             progress(f"{each.name} needs a policy to stand")
             continue
-        if not stands(each, "articulated", DT):
+        if not stands(each):
             progress(f"{each.name} falls in its default pose")
             report.fallen.append(each.name)
             continue
-        progress(f"{each.name}: drop, standing, slope, engines")
+        progress(f"{each.name}: drop, standing, slope")
         report.drops.extend(compare_drop(each, gains=gains) for gains in (1.0, FIRM))
         report.standing.append(compare_standing(each))
         report.rests.extend(compare_slope_rest(each, uphill) for uphill in ("front", "left"))
-        report.engines.append(compare_engines(each, converged))
-    progress("a block on planes and slopes")
-    report.slides.extend(compare_slide(friction, speed, direction=angle) for friction, speed, angle in SLIDES)
-    report.slopes.extend(compare_slope(friction, math.radians(angle)) for friction, angle in SLOPES)
     return report
-
-
-def check_document(document: Path) -> None:
-    """Raises ConfigError where `replace_block` would."""
-    documents.check(document, MARK)
-
-
-def replace_block(document: Path, text: str) -> None:
-    """Puts `text` between the marks of a document. Raises ConfigError where it cannot."""
-    documents.replace(document, MARK, text)

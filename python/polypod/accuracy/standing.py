@@ -6,8 +6,9 @@ import math
 import numpy as np
 
 import polypod
-from polypod.accuracy.reference import GRAVITY, Ground, Reference
-from polypod.accuracy.robot import Array, Robot, with_actuators
+from polypod.accuracy.result import Result
+from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
+from polypod.mujoco_model.robot import Array, Robot, with_actuators
 
 DROP_HEIGHT = 0.3
 """Height of the lowest foot above the ground, m."""
@@ -37,10 +38,20 @@ FIRM = 4.0
 """Factor on stiffness and damping that makes legs firm: on the gains that policies are trained
 with, some robots land in a deep crouch, and fall over when they stand still on a slope of 20
 degrees, in MuJoCo as well."""
+STAND_TIME = 2.0
+"""How long a robot has to stand, s."""
+CALM_TIME = 0.5
+"""At the end of it, in which the base may not move about, s."""
+CALM_SPEED = 0.1
+"""Largest speed of the base at rest, m/s."""
+LEAST_HEIGHT = 0.6
+"""Lowest height of the base of a standing robot, as a share of its height before gravity acts."""
+LEAST_UPRIGHT = math.cos(math.radians(30.0))
+"""Cosine of the largest tilt of a robot that stands."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Drop:
+class Drop(Result):
     """Three seconds after a drop from 0.3 m, targets in the default pose.
 
     Both simulators at the same step.
@@ -51,7 +62,6 @@ class Drop:
     at its limit of effort brings light joints to 100 rad/s.
     """
 
-    robot: str
     gains: float
     """Factor on the robot's stiffness and damping."""
     dt: float
@@ -72,6 +82,11 @@ class Drop:
     """polypod's at 5 ms, m."""
     coarse_pitch: float
     """polypod's at 5 ms, rad."""
+
+    @property
+    def case(self) -> str:
+        """The robot and the factor on its gains."""
+        return f"{self.robot}, {self.gains:g} times its gains"
 
     @property
     def height_error(self) -> float:
@@ -95,10 +110,9 @@ class Drop:
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
+class Standing(Result):
     """Forces of the ground on the feet of a robot at rest in its default pose."""
 
-    robot: str
     weight: float
     """Weight of the robot, N."""
     normal: Array
@@ -123,16 +137,20 @@ class Standing:
 
 
 @dataclasses.dataclass(frozen=True)
-class SlopeRest:
+class SlopeRest(Result):
     """How far a robot's base moves in 10 s on a slope of 20 degrees, after it has settled."""
 
-    robot: str
     uphill: str
     """Side of the robot that faces up the slope."""
     creep: float
     """Largest distance from where it was after settling, polypod's, m."""
     mujoco_creep: float
     """Largest distance from where it was after settling, MuJoCo's, m."""
+
+    @property
+    def case(self) -> str:
+        """The robot and its side up the slope."""
+        return f"{self.robot}, {self.uphill} uphill"
 
 
 def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
@@ -178,12 +196,10 @@ def compare_drop(robot: Robot, *, gains: float = 1.0) -> Drop:
 
 def compare_standing(robot: Robot) -> Standing:
     """Sets a robot on its feet and lets it settle."""
-    start = pose(robot, 0.0)
-    sim = polypod.Simulation(robot.source, dt=DT, friction=FRICTION, self_collision=False, threads=1)
-    sim.set_state(start)
+    sim = on_its_feet(robot)
     hold(sim, robot, SETTLE_TIME)
     mujoco = Reference.of(robot, dt=FINE, ground=Ground(FRICTION), bounded=True)
-    mujoco.set_state(start)
+    mujoco.set_state(pose(robot, 0.0))
     mujoco.step(robot.default_position, round(SETTLE_TIME / FINE))
     links = list(sim.link_names)
     ours, theirs = sim.contact_forces[0], mujoco.contact_forces(links)
@@ -229,6 +245,31 @@ def compare_slope_rest(robot: Robot, uphill: str = "front") -> SlopeRest:
     return SlopeRest(robot.name, uphill, creep, mujoco_creep)
 
 
+def stands(robot: Robot, dt: float = DT, engine: str = "articulated") -> bool:
+    """Whether a robot that is set on its feet is still on them after 2 s at this step, and calm."""
+    sim = on_its_feet(robot, dt, engine)
+    hold(sim, robot, STAND_TIME - CALM_TIME)
+    before = sim.qpos[0, :3]
+    hold(sim, robot, CALM_TIME)
+    qpos, upright = sim.qpos[0], _upright(sim.qpos[0])
+    if not np.isfinite(qpos).all():
+        return False
+    calm = float(np.linalg.norm(qpos[:3] - before)) < CALM_SPEED * CALM_TIME
+    slow = float(np.linalg.norm(sim.qvel[0, :3])) < CALM_SPEED
+    return calm and slow and qpos[2] > LEAST_HEIGHT * robot.base_height and upright > LEAST_UPRIGHT
+
+
+def on_its_feet(
+    robot: Robot, dt: float = DT, engine: str = "articulated", *, num_envs: int = 1, source: str | None = None
+) -> polypod.Simulation:
+    """Robots on their feet in the default pose; `source`: a config in the place of the robot's."""
+    sim = polypod.Simulation(
+        source or robot.source, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
+    )
+    sim.set_state(pose(robot, 0.0))
+    return sim
+
+
 def hold(sim: polypod.Simulation, robot: Robot, seconds: float) -> None:
     """Holds the default pose."""
     kp, kd = robot.actuators.stiffness, robot.actuators.damping
@@ -249,3 +290,9 @@ def pitch(qpos: Array) -> float:
     """Pitch of the base, rad."""
     w, x, y, z = qpos[3:7]
     return math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
+
+
+def _upright(qpos: Array) -> float:
+    """The z component of the base's z axis."""
+    _, x, y, _ = qpos[3:7]
+    return float(1.0 - 2.0 * (x * x + y * y))

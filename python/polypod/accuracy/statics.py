@@ -6,15 +6,16 @@ import numpy as np
 
 import polypod
 from polypod import rotations
-from polypod.accuracy.reference import Reference
-from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.result import Result
+from polypod.mujoco_model.reference import Reference
+from polypod.mujoco_model.robot import Array, Robot
 
 NUM_STATES = 200
 """Random states per robot."""
 
 
 @dataclasses.dataclass(frozen=True)
-class StaticsResult:
+class StaticsResult(Result):
     """Worst relative error of each quantity over all states.
 
     The relative error of a vector or matrix is the largest absolute difference between entries over
@@ -22,7 +23,6 @@ class StaticsResult:
     units, as in both simulators.
     """
 
-    robot: str
     states: int
     total_mass: float
     center_of_mass: float

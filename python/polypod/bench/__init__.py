@@ -1,8 +1,8 @@
 """Speed of the simulator, compared with MuJoCo in the same run: `polypod bench`.
 
-Needs the `bench` extra.
+It needs the `bench` extra. `lab.speed` measures what the documentation shows besides.
 """
 
-from polypod.bench.report import Options, measure, picture, table
+from polypod.bench.report import Options, measure, table
 
-__all__ = ["Options", "measure", "picture", "table"]
+__all__ = ["Options", "measure", "table"]

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
-from polypod.accuracy import robot as robots
-from polypod.accuracy.reference import Ground, Reference, mujoco, states
 from polypod.bench.sampling import Sample
 from polypod.extras import package
+from polypod.mujoco_model import robot as robots
+from polypod.mujoco_model.reference import Ground, Reference, mujoco, states
 
 DT = 0.005
 """Physics step, s."""

@@ -3,18 +3,18 @@
 import dataclasses
 import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from statistics import median
 from typing import Any
 
 from polypod import _core, provenance
-from polypod.accuracy import reference
 from polypod.bench import physics, sampling
 from polypod.bench.steps import control_steps
-from polypod.drawing import pyplot_for, save
+from polypod.mujoco_model import reference
 
 Progress = Callable[[str], None]
 """Is told what comes next."""
+SECONDS = 1.0
+"""Length of a timing that is not quick, s."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Options:
     """None: all cores."""
     seed: int = 0
     quick: bool = False
-    """Only the figures that `--json` promises, in less than a minute."""
+    """Only the main figures, in less than a minute."""
     largest: int = 65536
     """Envs that the scaling goes up to."""
 
@@ -40,8 +40,8 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
 
     Raises ConfigError without MuJoCo, UnknownNameError for an unknown robot.
     """
-    seconds, rounds = (0.4, 3) if options.quick else (1.0, 5)
-    step_threads = options.step_threads or os.cpu_count() or 1
+    seconds, rounds = (0.4, 3) if options.quick else (SECONDS, 5)
+    step_threads = step_threads_of(options)
     info = _core.info()
     result: dict[str, Any] = {
         "polypod": info["version"],
@@ -67,7 +67,7 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     for name, rate in sampling.medians(sampling.rates(steps, seconds, rounds)).items():
         result[name] = {"env_steps_per_s": rate}
     if not options.quick:
-        _scaling(options, step_threads, seconds, result, progress)
+        _scaling(options, result, progress)
     return result
 
 
@@ -100,14 +100,20 @@ def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float |
     return figures
 
 
-def _scaling(options: Options, step_threads: int, seconds: float, result: dict[str, Any], progress: Progress) -> None:
-    """Every figure in env-steps per second of whole control steps, but for physics."""
-    seed = options.seed
+def step_rate(options: Options, **arguments: Any) -> float:
+    """Median rate of whole control steps, env-steps/s; `arguments` as of `control_steps`."""
+    given = {"task": "velocity_flat", "num_envs": options.num_envs, "threads": step_threads_of(options), **arguments}
+    sample = control_steps(**given, seed=options.seed)
+    return sampling.medians(sampling.rates({"rate": sample}, SECONDS, 3))["rate"]
 
-    def rate(**arguments: Any) -> float:
-        sample = control_steps(**{"task": "velocity_flat", "seed": seed, **arguments})
-        return sampling.medians(sampling.rates({"rate": sample}, seconds, 3))["rate"]
 
+def step_threads_of(options: Options) -> int:
+    """Threads of the whole control steps."""
+    return options.step_threads or os.cpu_count() or 1
+
+
+def _scaling(options: Options, result: dict[str, Any], progress: Progress) -> None:
+    """Rates of whole control steps over envs and threads."""
     sizes, size = [], 1
     while size <= options.largest:
         sizes.append(size)
@@ -115,25 +121,14 @@ def _scaling(options: Options, step_threads: int, seconds: float, result: dict[s
     result["scaling_num_envs"] = {}
     for size in sizes:
         progress(f"{size} envs of {options.robot}")
-        result["scaling_num_envs"][size] = rate(
-            task=task_of(options.robot), num_envs=size, threads=step_threads, robots=[options.robot]
+        result["scaling_num_envs"][size] = step_rate(
+            options, task=task_of(options.robot), num_envs=size, robots=[options.robot]
         )
     threads, result["scaling_threads"] = 1, {}
     while threads <= (os.cpu_count() or 1):
         progress(f"{threads} threads")
-        result["scaling_threads"][threads] = rate(num_envs=options.num_envs, threads=threads)
+        result["scaling_threads"][threads] = step_rate(options, threads=threads)
         threads *= 2
-    result["scaling_robots"] = {}
-    names = _core.task_robots("velocity_flat")
-    for count in (1, 2, 4, 8):
-        progress(f"{count} different robots")
-        result["scaling_robots"][count] = rate(num_envs=options.num_envs, threads=step_threads, robots=names[:count])
-    progress("each robot alone; robots that fall again and again")
-    result["by_robot"] = {n: rate(num_envs=options.num_envs, threads=step_threads, robots=[n]) for n in names}
-    result["reset_heavy"] = {
-        "env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, overrides=["sim.episode_length_s=0.1"])
-    }
-    result["random_actions"] = {"env_steps_per_s": rate(num_envs=options.num_envs, threads=step_threads, scale=1.0)}
 
 
 def task_of(name: str) -> str:
@@ -164,16 +159,12 @@ def table(result: Mapping[str, Any]) -> str:
     for key, words in (
         ("env_step_cuda", "flat control step, physics on the card"),
         ("rough_cuda", "rough control step, physics on the card"),
-        ("reset_heavy", "flat, episodes of 0.1 s"),
-        ("random_actions", "flat, actions of deviation 1"),
     ):
         if key in result:
             rows.append((words, result[key]["env_steps_per_s"], "env-steps/s"))
     for key, words in (
         ("scaling_num_envs", "{} envs of one robot"),
         ("scaling_threads", "{} threads"),
-        ("scaling_robots", "{} different robots"),
-        ("by_robot", "{}"),
     ):
         rows += [(words.format(value), rate, "env-steps/s") for value, rate in result.get(key, {}).items()]
     head = [
@@ -183,7 +174,12 @@ def table(result: Mapping[str, Any]) -> str:
         "| what | rate | unit |",
         "|---|---|---|",
     ]
-    return "\n".join(head + [f"| {what} | {rate:,.0f} | {unit} |" for what, rate, unit in rows])
+    return "\n".join(head + [row(*each) for each in rows])
+
+
+def row(what: str, rate: float, unit: str = "env-steps/s") -> str:
+    """A line of the table."""
+    return f"| {what} | {rate:,.0f} | {unit} |"
 
 
 def _ratios(result: Mapping[str, Any]) -> str:
@@ -194,34 +190,3 @@ def _ratios(result: Mapping[str, Any]) -> str:
         lacks = f"MuJoCo {result['mujoco']} has no mujoco.batch; 3.17 and newer have it"
         return f"{text} (median of the rounds; {lacks})."
     return f"{text}, {p['batch_ratio']:.1f} times mujoco.batch (medians of the rounds)."
-
-
-def picture(result: Mapping[str, Any], out: Path) -> None:
-    """Plots the physics next to MuJoCo's, and the scaling.
-
-    Raises ConfigError without matplotlib, after --quick, or where it cannot be written.
-    """
-    if "scaling_num_envs" not in result:
-        raise _core.ConfigError("--plot shows the scaling, which --quick leaves out; run without --quick")
-    pyplot = pyplot_for("--plot")
-    figure, (rates, *axes) = pyplot.subplots(1, 4, figsize=(17, 4), layout="constrained")
-    p = result["physics"]
-    bars = {"polypod": p["env_steps_per_s"], "mujoco.rollout": p["mujoco_steps_per_s"]}
-    if p["mujoco_batch_steps_per_s"] is not None:
-        bars["mujoco.batch"] = p["mujoco_batch_steps_per_s"]
-    rates.bar(list(bars), list(bars.values()))
-    threads = result["threads"]
-    rates.set(xlabel=f"physics of {result['robot']}, threads: {threads}", ylabel="env-physics-steps/s", yscale="log")
-    for axis, (key, label) in zip(
-        axes,
-        (("scaling_num_envs", "envs"), ("scaling_threads", "threads"), ("scaling_robots", "different robots")),
-        strict=True,
-    ):
-        values = result[key]
-        axis.plot([int(x) for x in values], list(values.values()), marker="o")
-        axis.set(xlabel=label, ylabel="env-steps/s", ylim=(0, None))
-        axis.set_xscale("log", base=2)
-        axis.grid(alpha=0.3)
-    figure.suptitle(f"polypod {result['polypod']}, {result['cpu']}, {result['simd']}")
-    save(figure, out, "--plot")
-    pyplot.close(figure)

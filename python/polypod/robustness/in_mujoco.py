@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Floats
 from polypod.evaluation.walking import Record, Schedule
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.mujoco_model import robot as model_robot
 from polypod.policy import LoadedPolicy
 from polypod.robustness import schedules, twins
 from polypod.robustness.body import Body
@@ -91,7 +91,7 @@ class Mujoco:
         for name, source in zip(self._interfaces, setting.sources, strict=True):
             physics = self._episode.physics
             if model is not None:
-                robot = accuracy_robot.of(self._episode.sim, name, source)
+                robot = model_robot.of(self._episode.sim, name, source)
                 dt = on_model.load_model(model.file, robot, model.map, model.choices).dt
                 physics = dataclasses.replace(physics, dt=dt)
             beginning.check_steps(physics, self._episode.step_dt, name)
@@ -127,7 +127,7 @@ class Mujoco:
 
     def _of_maker(self, model: MakersModel, body: Body, policy: FoldedPolicy, late: int) -> Maker:
         """The maker's model with the policy, before its first reset."""
-        robot = accuracy_robot.of(self._episode.sim, body.name, body.source)
+        robot = model_robot.of(self._episode.sim, body.name, body.source)
         compiled = on_model.compiled(model.file, robot, model.map, model.choices)
         interface = self._interfaces[body.name]
         ends, outlines = self._episode.ends(body.name, interface), self._episode.outlines[body.name]["bodies"]

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from polypod.accuracy.reference import Reference, mujoco
+from polypod.mujoco_model.reference import Reference, mujoco
 from polypod.robustness.body import Body
 from polypod.sim2sim.driven import Driven
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
-from polypod.accuracy import reference
-from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.evaluation import play_task, rising, undisturbed
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export.robot import RobotInterface
+from polypod.mujoco_model import reference
+from polypod.mujoco_model import robot as model_robot
 from polypod.python_terms import Terms, TermSim
 from polypod.sim2sim.driven import Drive, FoldedPolicy
 from polypod.sim2sim.own_terms import OwnTerms
@@ -158,7 +158,7 @@ class Beginning:
             least_height = lowest.get("minimum_height", rising.least_height(share, interface.info))
         return Ends(frozenset(groups), least_height, ends.get("bad_orientation", {}).get("limit_angle", np.pi))
 
-    def delays(self, robot: accuracy_robot.Robot) -> Array:
+    def delays(self, robot: model_robot.Robot) -> Array:
         """Delays [envs, joints] in physics steps, one draw per env and group of actuators."""
         random = np.random.default_rng((self.seed, 1))
         delays = np.zeros((self.envs_per_robot, robot.num_joints))
@@ -171,7 +171,7 @@ class Beginning:
 
     def drive(
         self,
-        robot: accuracy_robot.Robot,
+        robot: model_robot.Robot,
         interface: RobotInterface,
         policy: FoldedPolicy,
         ends: Ends,
@@ -215,7 +215,7 @@ def twin_of(
 
     `late` physics steps are added to its delays.
     """
-    robot = accuracy_robot.of(episode.sim, name, source)
+    robot = model_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
     bodies = [body["name"] for body in episode.outlines[name]["bodies"] if body["group"] in ends.groups]
     drive = dataclasses.replace(

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from polypod import rotations
-from polypod.accuracy.reference import Heights, ground_alone, mujoco
 from polypod.arrays import Array
 from polypod.export.robot import RobotInterface
+from polypod.mujoco_model.reference import Heights, ground_alone, mujoco
 
 
 class DepthCamera:

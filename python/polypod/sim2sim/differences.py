@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import rotations
-from polypod.accuracy.reference import mujoco
-from polypod.accuracy.robot import Robot
 from polypod.arrays import Array
+from polypod.mujoco_model.reference import mujoco
+from polypod.mujoco_model.robot import Robot
 from polypod.sim2sim.driven import Driven
 from polypod.sim2sim.maker import Maker, Model, lowest
 from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton

@@ -20,10 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, rotations
-from polypod.accuracy.reference import GRAVITY, Heights, mujoco, states
-from polypod.accuracy.robot import Robot
 from polypod.arrays import Array, Floats
 from polypod.export.robot import RobotInterface
+from polypod.mujoco_model.reference import GRAVITY, Heights, mujoco, states
+from polypod.mujoco_model.robot import Robot
 
 FALL_FORCE = 1.0
 """Normal force on a shape of the base from which a robot has fallen, N: the task's own

@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, rotations
-from polypod.accuracy.reference import Heights, Reference, mujoco
-from polypod.accuracy.robot import Robot
 from polypod.arrays import Array
+from polypod.mujoco_model.reference import Heights, Reference, mujoco
+from polypod.mujoco_model.robot import Robot
 from polypod.sim2sim import mapping, mjcf
 from polypod.sim2sim.driven import Drive, Driven
 from polypod.sim2sim.mapping import Given, JointMap

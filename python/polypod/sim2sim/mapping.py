@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 from polypod import _core, rotations
-from polypod.accuracy.reference import mujoco
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.files import read_bytes
+from polypod.mujoco_model.reference import mujoco
 from polypod.sim2sim.skeleton import BASE, Skeleton, skeleton
 
 GOOD = 0.6

@@ -13,9 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from polypod import _core, rotations
-from polypod.accuracy import reference
-from polypod.accuracy import robot as accuracy_robot
-from polypod.accuracy.reference import Reference
 from polypod.arrays import Array
 from polypod.evaluation import Policy, walking
 from polypod.evaluation.results import finite
@@ -23,6 +20,9 @@ from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.files import read_bytes
+from polypod.mujoco_model import reference
+from polypod.mujoco_model import robot as model_robot
+from polypod.mujoco_model.reference import Reference
 from polypod.policy import load
 from polypod.provenance import Measured, measured
 from polypod.sim2sim import beginning, differences, maker, mapping, mjcf, phases, run
@@ -153,7 +153,7 @@ class ModelComparison:
         return found
 
 
-def load_model(path: Path, robot: accuracy_robot.Robot, given: Path | None, choices: Choices) -> Model:
+def load_model(path: Path, robot: model_robot.Robot, given: Path | None, choices: Choices) -> Model:
     """Checks and reads a file as a model of a robot. Raises ConfigError."""
     try:
         mjcf.check(path)
@@ -162,7 +162,7 @@ def load_model(path: Path, robot: accuracy_robot.Robot, given: Path | None, choi
     return compiled(path, robot, given, choices)
 
 
-def compiled(path: Path, robot: accuracy_robot.Robot, given: Path | None, choices: Choices) -> Model:
+def compiled(path: Path, robot: model_robot.Robot, given: Path | None, choices: Choices) -> Model:
     """Reads a file that was checked before. Raises ConfigError."""
     named = mapping.Given() if given is None else mapping.Given.read(given)
     try:
@@ -275,7 +275,7 @@ def guess(model_file: Path, robots: Sequence[str]) -> str:
     except Exception as error:
         raise _core.ConfigError(f"--model {model_file}: {mjcf.one_line(error)}") from error
     names = [model.joint(joint).name for joint in range(model.njnt)]
-    sim = _core.VecSim(accuracy_robot.TASK, len(robots), robots=list(robots), threads=1)
+    sim = _core.VecSim(model_robot.TASK, len(robots), robots=list(robots), threads=1)
     infos = json.loads(sim.robot_info())
     costs: dict[str, float] = {}
     for source, name in zip(robots, sim.robots, strict=True):
@@ -283,7 +283,7 @@ def guess(model_file: Path, robots: Sequence[str]) -> str:
         if len(mapping.named(joints, names)) < len(joints):
             continue
         try:
-            found = Model(mjcf.read(str(model_file)), model_file.name, accuracy_robot.of(sim, name, source))
+            found = Model(mjcf.read(str(model_file)), model_file.name, model_robot.of(sim, name, source))
         except _core.ConfigError:
             continue
         ratio = infos[name]["mass"] / max(float(found.model.body(found.root).subtreemass[0]), 1e-9)
@@ -331,7 +331,7 @@ class Stage:
                 "choose a policy of flat ground"
             )
         self.source = robot
-        self.robot = accuracy_robot.of(self.episode.sim, self.name, robot)
+        self.robot = model_robot.of(self.episode.sim, self.name, robot)
         self._network = loaded.network
         self.is_whole = options.commands == "walking"
         self.plan: tuple[phases.Phase, ...] | None = None
@@ -400,7 +400,7 @@ class Stage:
         return Played(figures, [] if by_phase is None else by_phase.figures())
 
 
-def started(model: Model, robot: accuracy_robot.Robot, qpos: Array, qvel: Array) -> tuple[Array, Array]:
+def started(model: Model, robot: model_robot.Robot, qpos: Array, qvel: Array) -> tuple[Array, Array]:
     """Initial states [envs, nq] and [envs, nv] of the model.
 
     At their heights the model's feet touch as polypod's do.
@@ -423,7 +423,7 @@ def started(model: Model, robot: accuracy_robot.Robot, qpos: Array, qvel: Array)
 def made(
     model: Model,
     episode: Episode,
-    robot: accuracy_robot.Robot,
+    robot: model_robot.Robot,
     interface: RobotInterface,
     ends: beginning.Ends,
     outlines: Sequence[Any],

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.accuracy import robot as accuracy_robot
 from polypod.arrays import Array, Floats
 from polypod.compat import tomllib
 from polypod.evaluation.tracking import ClipResult, Seen, Trial, terms_of
@@ -25,6 +24,7 @@ from polypod.export.runtime import OnnxPolicy
 from polypod.motions import turns
 from polypod.motions.reference import errors
 from polypod.motions.tracking import COMMAND, DEVIATIONS, Tracker, axes
+from polypod.mujoco_model import robot as model_robot
 from polypod.policy import load
 from polypod.sim2sim.beginning import Options, check_steps, physics_of
 from polypod.sim2sim.driven import Drive
@@ -99,7 +99,7 @@ def _twin(
     trial: Trial, name: str, source: str, interface: RobotInterface, policy: _WithReference, options: Options
 ) -> Twin:
     task = tomllib.loads(trial.sim.resolved_config())["task"]
-    robot = accuracy_robot.of(trial.sim, name, source)
+    robot = model_robot.of(trial.sim, name, source)
     count = len(trial.seen[name].clip)
     dt = float(task["sim"]["dt"])
     drive = Drive(

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
-from polypod.accuracy import reference
 from polypod.evaluation import Policy, rising
 from polypod.evaluation.rising import Goal, Rising
 from polypod.export import onnx_graph
 from polypod.export.robot import interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.mujoco_model import reference
 from polypod.networks.policies import reset
 from polypod.policy import load
 from polypod.provenance import measured

@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from polypod import _core, descriptions, rotations
-from polypod.accuracy import reference
 from polypod.arrays import Array
 from polypod.evaluation import Policy, Walking, walking
 from polypod.evaluation.results import succeeds
 from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
+from polypod.mujoco_model import reference
 from polypod.networks.policies import reset
 from polypod.policy import load
 from polypod.provenance import measured

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.accuracy.reference import mujoco
 from polypod.arrays import Array
+from polypod.mujoco_model.reference import mujoco
 
 BASE = -1
 """Stands for the base where the index of a joint is asked."""

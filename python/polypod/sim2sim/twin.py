@@ -1,6 +1,7 @@
 """Envs of polypod's own robot in MuJoCo, which compiles the robot's URDF.
 
-See `polypod.accuracy.reference` for what is set, and `polypod.sim2sim.driven` for how it is driven.
+See `polypod.mujoco_model.reference` for what is set, and `polypod.sim2sim.driven` for how it is
+driven.
 
 - The PD law is MuJoCo's position actuator with the robot's gains.
 - Shapes touch the ground with the task's friction; the robot's own links pass through each other.
@@ -14,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from polypod.accuracy.reference import Ground, Integrator, Reference
-from polypod.accuracy.robot import Robot
 from polypod.arrays import Array
+from polypod.mujoco_model.reference import Ground, Integrator, Reference
+from polypod.mujoco_model.robot import Robot
 from polypod.sim2sim.camera import DepthCamera
 from polypod.sim2sim.driven import Drive, Driven, FoldedPolicy, Observed
 

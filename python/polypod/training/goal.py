@@ -1,6 +1,6 @@
 """Trainings that end when their robots walk.
 
-Used by `train --until-walks`, `adapt` and `bench --walk`.
+Used by `train --until-walks`, `adapt` and `lab.speed`.
 """
 
 import dataclasses

@@ -6,8 +6,8 @@ import pytest
 import polypod
 from common import size
 from polypod import rotations, sim2sim
-from polypod.accuracy import robot as accuracy_robot
 from polypod.export import interfaces
+from polypod.mujoco_model import robot as model_robot
 from polypod.sim2sim import twin
 
 mujoco = pytest.importorskip("mujoco")
@@ -175,7 +175,7 @@ def twin_of(env, robot, folder):
         "observation_layout": [{"term": term, "size": count} for term, count in sim.observation_layout],
     }
     interface = interfaces(manifest, [robot])[robot]
-    policy, described = Standing(interface), accuracy_robot.of(sim, robot, robot)
+    policy, described = Standing(interface), model_robot.of(sim, robot, robot)
     drive = twin.Drive(
         interface,
         policy,

@@ -13,11 +13,11 @@ import torch
 import polypod
 from common import ROOT
 from polypod import _core, sim2sim
-from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, load_policy
 from polypod.evaluation.checkpoints import evaluate_checkpoint
 from polypod.export import OnnxPolicy, export_checkpoint, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
+from polypod.mujoco_model import robot as model_robot
 from polypod.networks import ACTION_MASK, MaskedGaussian
 from polypod.networks.masked import MaskedNormalization
 from polypod.rsl_rl import VecEnv
@@ -196,7 +196,7 @@ def assert_mujoco_observes_the_same(checkpoint, source):
     robot = interface.name
     graph = OnnxPolicy(onnx_graph.robot_model(network, interface, {}).SerializeToString())
     sim = _core.VecSim("velocity_flat_play", 3, robots=[source], seed=5, threads=1, autoreset="disabled", slots=slots)
-    described = accuracy_robot.of(sim, robot, source)
+    described = model_robot.of(sim, robot, source)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     delays = np.zeros((3, len(interface.joint_names)))
     places = sim.env_origins() * [1.0, 1.0, 0.0]

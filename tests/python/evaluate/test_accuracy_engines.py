@@ -1,4 +1,4 @@
-"""The two engines agree on standing and responses, and `polypod accuracy` reports it."""
+"""The two engines agree on standing and responses, and `lab.accuracy` reports it."""
 
 import dataclasses
 
@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from common import size, some
+from lab.accuracy import engines
 from polypod import _core
-from polypod.accuracy import engines, motion, robot
+from polypod.accuracy import motion
+from polypod.accuracy.standing import stands
+from polypod.mujoco_model import robot
 
 ROBOT = "unitree_go2"
 CORE = ("anymal_b", "anymal_b_kinova", "box_quadruped", "phantomx", "spot", "unitree_a1", "unitree_go2w")
@@ -47,12 +50,12 @@ def test_the_largest_step_is_the_last_at_which_it_stands(both: engines.Engines) 
         assert engine.largest_step >= 0.005
         place = engines.STEPS.index(engine.largest_step)
         for larger in engines.STEPS[place + 1 : place + 2]:
-            assert not engines.stands(robot.load(ROBOT), engine.engine, larger)
+            assert not stands(robot.load(ROBOT), larger, engine.engine)
 
 
 def test_a_robot_without_gains_does_not_stand() -> None:
     limp = robot.load(ROBOT).with_gains(0.02)
-    assert not any(engines.stands(limp, engine, 0.005) for engine in ("articulated", "avian"))
+    assert not any(stands(limp, 0.005, engine) for engine in ("articulated", "avian"))
 
 
 def test_the_articulated_engine_is_the_faster_one(both: engines.Engines) -> None:

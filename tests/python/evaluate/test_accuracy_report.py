@@ -1,21 +1,26 @@
-"""`polypod accuracy` rewrites what stands between the marks of a document, and nothing else."""
+"""`polypod accuracy` and `lab.accuracy` print every figure; documents change between marks."""
 
 import dataclasses
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import polypod
-from polypod.accuracy import engines, friction, motion, report, robot, standing, statics, sweeps
-from polypod.accuracy.bounds import BOUNDS, exceeded
+from lab.accuracy import __main__ as command
+from lab.accuracy import engines, friction, sweeps
+from lab.accuracy import report as whole
+from lab.accuracy.bounds import BOUNDS, exceeded
+from lab.accuracy.markdown import summary, tables
+from polypod import documents
+from polypod.accuracy import bounds as of_robots
+from polypod.accuracy import motion, report, standing, statics
 from polypod.accuracy.file import FileResult
-from polypod.accuracy.markdown import summary, tables
 from polypod.add import judge
 from polypod.commands.accuracy import Accuracy
+from polypod.mujoco_model import robot
 
+BEGIN, END = documents.marks(command.MARK)
 ARTICULATED = engines.Engine(
     engine="articulated",
     height=0.43,
@@ -42,36 +47,47 @@ AVIAN = dataclasses.replace(
 )
 ENGINES = engines.Engines("spot", ARTICULATED, AVIAN)
 RESPONSE = motion.StepResponse("spot", True, 1e-4, 2e-3, 3e-4, 4e-3, 0)
-EMPTY = report.Report("x.y", [], [], [], [], [], [], [], [], [], [])
+EMPTY = whole.Report("x.y")
 
 
 def test_only_the_text_between_the_marks_changes(tmp_path: Path) -> None:
     document = tmp_path / "physics.md"
-    document.write_text(f"before\n{report.BEGIN}\nold\n{report.END}\nafter\n")
+    document.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
     for _ in range(2):
-        report.replace_block(document, "new\n")
-        assert document.read_text() == f"before\n{report.BEGIN}\nnew\n{report.END}\nafter\n"
+        documents.replace(document, command.MARK, "new\n")
+        assert document.read_text() == f"before\n{BEGIN}\nnew\n{END}\nafter\n"
 
 
-def test_a_document_without_marks_is_refused_before_anything_is_measured(
-    cli_process: Callable[..., subprocess.CompletedProcess[str]], tmp_path: Path
+@pytest.mark.parametrize(
+    ("document", "words"), [("notes.md", [BEGIN]), ("/dev/zero", ["/dev/zero", "MiB"])], ids=["no marks", "endless"]
+)
+@pytest.mark.parametrize("flag", ["--out", "--readme"])
+def test_an_unfit_document_is_refused_before_anything_is_measured(
+    flag: str,
+    document: str,
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "notes.md").write_text("no marks\n")
-    done = cli_process("accuracy", "--out", "notes.md")
-    assert done.returncode == 2
-    assert report.BEGIN in done.stderr
-    assert done.stdout == ""
+    assert command.main([flag, document]) == 2
+    captured = capsys.readouterr()
+    assert all(word in captured.err for word in words)
+    assert captured.out == ""
 
 
 def test_an_unknown_robot_is_named() -> None:
-    with pytest.raises(polypod.UnknownNameError, match="spott"):
-        report.measure(["spott"])
+    for measure in (report.measure, whole.measure):
+        with pytest.raises(polypod.UnknownNameError, match="spott"):
+            measure(["spott"])
 
 
 def test_every_measurement_has_its_row() -> None:
     spot = robot.load("spot")
     drop = standing.compare_drop(spot, gains=standing.FIRM)
-    measured = report.Report(
+    measured = whole.Report(
         mujoco="x.y",
         statics=[statics.compare_statics(spot, states=2)],
         responses=[RESPONSE],
@@ -125,18 +141,18 @@ def test_the_command_fails_and_writes_nothing_where_a_figure_exceeds_its_bound(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     document = tmp_path / "README.md"
-    document.write_text(before := f"{report.BEGIN}\nold\n{report.END}\n")
+    document.write_text(before := f"{BEGIN}\nold\n{END}\n")
     spot = statics.compare_statics(robot.load("spot"), states=2)
     held = dataclasses.replace(EMPTY, statics=[spot], responses=[RESPONSE])
     late = dataclasses.replace(held, responses=[dataclasses.replace(RESPONSE, **changes)])
-    monkeypatch.setattr(report, "measure", lambda *_: late)
-    assert Accuracy(readme=document).run() == 1
+    monkeypatch.setattr(whole, "measure", lambda *_: late)
+    assert command.main(["--readme", str(document)]) == 1
     assert document.read_text() == before
     error = capsys.readouterr().err
     assert words in error
     assert "README.md left unchanged" in error
-    monkeypatch.setattr(report, "measure", lambda *_: held)
-    assert Accuracy(readme=document).run() == 0
+    monkeypatch.setattr(whole, "measure", lambda *_: held)
+    assert command.main(["--readme", str(document)]) == 0
     assert "| step responses, 0.5 ms | deviation | 0.10 mrad | 1 mrad |" in document.read_text()
 
 
@@ -151,3 +167,33 @@ def test_a_drop_of_soft_legs_has_wider_bounds_at_5_ms() -> None:
     assert not exceeded(drop)
     assert len(exceeded(dataclasses.replace(drop, gains=standing.FIRM))) == 2
     assert len(exceeded(standing.Drop("spot", 1.0, 1e-4, 0.4, 0.4, 0.0, 0.0, 0.4, 0.0, 0.409, 0.08))) == 2
+
+
+def test_the_command_of_the_wheel_shows_the_robots_tables(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The rows stand in the laboratory's tables, too."""
+    drop = standing.Drop("spot", 4.0, 1e-4, 0.4, 0.4, 0.0, 0.0, 0.4, 0.0, 0.4, 0.0)
+    held = report.Report(
+        "x.y",
+        statics=[statics.compare_statics(robot.load("spot"), states=2)],
+        responses=[RESPONSE],
+        drops=[drop],
+        standing=[standing.Standing("spot", 1.0, *[np.array([1.0])] * 2, *[np.array([[0.0, 0.0]])] * 2)],
+        rests=[standing.SlopeRest("spot", "front", 1e-5, 2e-5)],
+        files=[FileResult("spot", dtype, judge.Errors(*7 * [1e-7])) for dtype in judge.BOUNDS],
+    )
+    monkeypatch.setattr(report, "measure", lambda *_: held)
+    assert Accuracy().run() == 0
+    shown = capsys.readouterr().out
+    assert "MuJoCo x.y. Measured on" in shown
+    for bound in of_robots.BOUNDS:
+        assert (f"| {bound.quantity} | {bound.measured} |" in shown) == (held.worst(bound) is not None)
+    assert set(tables(whole.Report(**vars(held))).splitlines()) >= {
+        row for row in shown.splitlines() if "| spot" in row
+    }
+    assert "bounds are kept; the nearest is that of" in shown
+    late = dataclasses.replace(held, responses=[dataclasses.replace(RESPONSE, fine=2e-3)])
+    monkeypatch.setattr(report, "measure", lambda *_: late)
+    assert Accuracy().run() == 1
+    assert "2.00 mrad exceeds 1 mrad" in capsys.readouterr().err

@@ -8,9 +8,9 @@ import pytest
 
 from common import size
 from polypod import cli
-from polypod.accuracy import robot as robots
 from polypod.bench import physics, report, sampling
 from polypod.bench.steps import control_steps
+from polypod.mujoco_model import robot as robots
 
 
 def test_rates_are_work_per_second_in_turn() -> None:
@@ -138,29 +138,7 @@ def test_bad_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--threads" in capsys.readouterr().err
 
 
-def test_kinds_together_stand_beside_kinds_alone(cli, tmp_path) -> None:
-    """The mean is the harmonic one: of costs, not of rates."""
-    file = tmp_path / "kinds.json"
-    done = cli(
-        *("bench", "--kinds", "bolt,unitree_g1", "--num-envs", "32", "--step-threads", "1", "--json", str(file)),
-    )
-    assert done.returncode == 0, done.stderr
-    result = json.loads(file.read_text())
-    rates = result["by_kind"]
-    assert result["joints"] == {"bolt": 6, "unitree_g1": 29}
-    assert result["one_by_one"] == pytest.approx(2 / (1 / rates["bolt"] + 1 / rates["unitree_g1"]))
-    assert result["share"] == pytest.approx(result["mixed"] / result["one_by_one"])
-    assert "| all kinds in one batch |" in done.stdout
-
-
-@pytest.mark.parametrize("kinds", ["bolt", "bolt,bolt", "bolt,nobody"])
-def test_kinds_are_two_known_ones_or_more(cli, kinds) -> None:
-    done = cli("bench", "--kinds", kinds, "--num-envs", "4")
-    assert done.returncode == 2
-    assert "nobody" in done.stderr or "two different robots" in done.stderr
-
-
-@pytest.mark.parametrize("flags", [("--workers", "1"), ("--walk",), ("--learner",), ("--kinds", "all")])
+@pytest.mark.parametrize("flags", [("--workers", "1"), ("--learner",)])
 def test_a_robot_that_nothing_is_measured_on_is_refused(cli, flags) -> None:
     done = cli("bench", "--robot", "spot", *flags)
     assert done.returncode == 2

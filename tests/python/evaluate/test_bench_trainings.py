@@ -1,12 +1,11 @@
-"""`polypod bench --learner`, `--walk` and `--workers` train and report as they say."""
+"""`polypod bench --learner` and `--workers` train and report as they say."""
 
 import json
 
 import pytest
 import torch
 
-from polypod import provenance
-from polypod.bench import walking, workers
+from polypod.bench import workers
 from polypod.bench.learners import Options
 
 TINY = 'extends = "quick"\n[run]\nnum_envs = 32\nnum_steps_per_env = 4\nmax_iterations = 2\n'
@@ -22,43 +21,6 @@ def test_learners_are_timed_in_turn(cli, tmp_path):
     for name, row in result["learners"].items():
         assert row["iteration_s"] == row["collection_s"] + row["update_s"] > 0.0
         assert f"| {name} |" in finished.stdout
-
-
-def test_walks_are_looked_for_at_intervals(cli, tmp_path, monkeypatch):
-    monkeypatch.setattr(walking, "INTERVAL", 1)
-    monkeypatch.setattr(walking, "ENVS_PER_ROBOT", 1)
-    (tmp_path / "tiny.toml").write_text(TINY)
-    arguments = (
-        "--train-config",
-        "tiny.toml",
-        "--robots",
-        "unitree_go1",
-        "--seeds",
-        "1",
-        "--json",
-        "walk.json",
-        "--plot",
-        "walk.png",
-    )
-    finished = cli("bench", "--walk", *arguments)
-    assert finished.returncode == 0, finished.stderr
-    content = json.loads((tmp_path / "walk.json").read_text())
-    (run,) = content["runs"]
-    assert (run["seed"], run["walked"]) == (42, False)
-    assert [point["samples"] for point in run["curve"]] == [128, 256]
-    last = run["curve"][1]
-    assert last["walk"] == 0
-    # the second figure is that of a robot which stands still
-    assert last["error_vel_xy"] > 0.5 * last["still_error_vel_xy"] > 0.0
-    assert 0.0 < last["still_error_vel_yaw"] < 1.0
-    assert last["error_vel_yaw"] > 0.0
-    assert content["walks"] == walking.BOUNDS
-    assert run["startup_s"] > 0.0
-    assert set(run["watt_hours"]) <= {"processors"}
-    assert content["robots"] == ["unitree_go1"]
-    assert (tmp_path / "walk.png").stat().st_size > 0
-    assert "| 42 | no | 0.0 |" in finished.stdout
-    assert "| worst error (m/s) | still | worst yaw error (rad/s) | still | least turn |" in finished.stdout
 
 
 def test_workers_share_the_cores(cli, tmp_path):
@@ -102,23 +64,3 @@ def test_gpus_that_are_not_there_are_refused(cli, tmp_path):
     finished = cli("bench", "--workers", "1", "--device", "cuda")
     assert finished.returncode == 2
     assert "no CUDA device" in finished.stderr
-
-
-def test_energy_has_a_column_where_every_run_tells_it():
-    point = {"walk": 1, "error_vel_xy": 0.1, "turn_reached": 0.9, "drift_xy": 0.0, "fall_rate": 0.0}
-    point |= {"still_error_vel_xy": 0.4, "error_vel_yaw": 0.1, "still_error_vel_yaw": 0.3}
-    runs = [
-        {"seed": seed, "walked": True, "samples": 2e6, "seconds": 60.0, "startup_s": 5.0, "curve": [point]}
-        | {"watt_hours": {"processors": 1.5, "GPUs": 2.0}}
-        for seed in (0, 1)
-    ]
-    result = {"learner": "native", "device": "cpu", "runs": runs, "train_config": "tiny", "threads": 2, "simd": "avx2"}
-    result["measured"] = provenance.measured()
-    text = walking.table(result)
-    assert "| s | with start-up, s | Wh, GPUs and processors | worst error" in text
-    assert "| 0 | yes | 2.0 | 60 | 65 | 3.50 | 0.100 |" in text
-    assert "| mean and deviation of 2 | | 2.0 ± 0.0 | 60.0 ± 0.0 | 65.0 ± 0.0 | 3.5 ± 0.0 |" in text
-    widths = {line.count("|") for line in text.splitlines() if line.startswith("|")}
-    assert len(widths) == 1
-    runs[1]["watt_hours"] = {}
-    assert "Wh" not in walking.table(result)

@@ -1,4 +1,4 @@
-"""Endless evaluations and documents are refused before they fill the memory."""
+"""Endless evaluations are refused before they fill the memory."""
 
 import pytest
 
@@ -29,11 +29,3 @@ def test_a_training_of_episodes_without_end_is_evaluated(cli):
     assert done.returncode == 0, done.stderr
     assert "64 envs, 20 s, a new command every 5 s" in done.stdout
     assert "0 of 1 walk" in done.stdout
-
-
-def test_a_document_is_no_device(fork_server, tmp_path):
-    for flag in ("--out", "--readme"):
-        done = fork_server.run("accuracy", "--robots", "nobody", flag, "/dev/zero", cwd=tmp_path, memory=1 << 30)
-        assert done.code == 2
-        assert "/dev/zero" in done.errors
-        assert "MiB" in done.errors

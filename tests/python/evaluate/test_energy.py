@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from polypod.bench import energy
-from polypod.bench.energy import GPUS, PROCESSORS, Meter
+from lab.speed import energy
+from lab.speed.energy import GPUS, PROCESSORS, Meter
 
 
 def package(folder, name, microjoules, most=10_000_000):

@@ -12,8 +12,8 @@ import polypod
 import polypod.cli
 from common import FLAT_POLICY
 from polypod import _core, policy, robustness
-from polypod.accuracy import robot as accuracy_robot
-from polypod.accuracy.reference import Ground, Reference
+from polypod.mujoco_model import robot as model_robot
+from polypod.mujoco_model.reference import Ground, Reference
 from polypod.robustness import in_mujoco, in_polypod
 from polypod.sim2sim import Physics, mapping, mjcf, on_model, skeleton
 from polypod.sim2sim.maker import Choices, Model
@@ -27,7 +27,7 @@ SHORT = on_model.Options(episodes=2, phases="forward=0.5,stop", phase_s=0.2, act
 
 @functools.cache
 def robot_of(name):
-    return accuracy_robot.of(_core.VecSim(accuracy_robot.TASK, 1, robots=[name], threads=1), name, name)
+    return model_robot.of(_core.VecSim(model_robot.TASK, 1, robots=[name], threads=1), name, name)
 
 
 def twin_as_mjcf(name, ground=True, physics=None):

@@ -218,8 +218,8 @@ def test_payloads_of_other_bodies_are_of_the_same_trunk_in_both_simulators(robot
     """Arms, locked joints and fixed links."""
     sim = _core.VecSim("velocity_flat_legged_play", 1, robots=[robot], threads=1)
     ((_, known),) = body.bodies(sim, [robot]).items()
-    from polypod.accuracy.reference import Reference
-    from polypod.accuracy.robot import of
+    from polypod.mujoco_model.reference import Reference
+    from polypod.mujoco_model.robot import of
 
     reference = Reference.of(of(sim, robot, robot), dt=0.005)
     model = reference.model

@@ -11,10 +11,10 @@ import polypod
 import polypod.cli
 from common import FLAT_POLICY, LEGGED_POLICY, ROUGH_POLICY, SMALL_TERRAIN, size
 from polypod import sim2sim
-from polypod.accuracy import robot as accuracy_robot
 from polypod.evaluation import load_network, walking
 from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
+from polypod.mujoco_model import robot as model_robot
 from polypod.runs import run_dir
 from polypod.sim2sim import beginning, commands, run, twin
 
@@ -32,7 +32,7 @@ def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, ove
     sim = polypod.VecSim(
         task, num_envs, robots=[robot], seed=5, threads=1, autoreset="disabled", overrides=list(overrides)
     )
-    described = accuracy_robot.of(sim, robot, robot)
+    described = model_robot.of(sim, robot, robot)
     bodies = [body["name"] for body in json.loads(sim.robot_shapes())[robot]["bodies"] if body["group"] == "base"]
     drive = twin.Drive(
         interface,
@@ -314,7 +314,7 @@ def test_states_that_memory_does_not_hold_are_refused(monkeypatch):
     """MuJoCo's own error is none of Python's; the message names what to lower."""
     import mujoco
 
-    from polypod.accuracy import reference
+    from polypod.mujoco_model import reference
 
     class Starved:
         """MuJoCo on a machine with little memory."""

@@ -320,7 +320,8 @@ def test_mujoco_is_driven_by_the_same_torques(robot):
     Engines are compared under gains alone.
     """
     from common import FLAT_POLICY
-    from polypod import accuracy, sim2sim
+    from polypod import sim2sim
+    from polypod.mujoco_model.robot import load
 
     line = torch.nn.Linear(2, 1)
     with torch.no_grad():
@@ -333,7 +334,7 @@ def test_mujoco_is_driven_by_the_same_torques(robot):
     assert found.polypod.fall_rate == found.mujoco.fall_rate == 0.0
     assert abs(found.polypod.error_vel_xy - found.mujoco.error_vel_xy) < 0.1
     with pytest.raises(polypod.ConfigError, match="its actuators are networks"):
-        accuracy.load(name)
+        load(name)
 
 
 def test_the_manifest_names_the_network(robot):

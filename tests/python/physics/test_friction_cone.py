@@ -5,11 +5,10 @@ import math
 import pytest
 
 from common import some
-from polypod.accuracy.bounds import exceeded
-from polypod.accuracy.friction import compare_slide, compare_slope
-from polypod.accuracy.report import SLIDES, SLOPES
-from polypod.accuracy.robot import load, names
+from lab.accuracy.bounds import exceeded
+from lab.accuracy.friction import SLIDES, SLOPES, compare_slide, compare_slope
 from polypod.accuracy.standing import compare_slope_rest
+from polypod.mujoco_model.robot import load, names
 
 CORE = ("anymal_c", "box_quadruped", "phantomx", "spot", "unitree_a1", "unitree_go2w")
 """Robots of the core tier; the extended tier takes all that stand."""

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from common import size
-from polypod.accuracy import reference
 from polypod.accuracy.bounds import exceeded
-from polypod.accuracy.robot import load, names
 from polypod.accuracy.statics import compare_statics
 from polypod.add.root import rooted
+from polypod.mujoco_model import reference
+from polypod.mujoco_model.robot import load, names
 
 
 @pytest.mark.parametrize("name", names())

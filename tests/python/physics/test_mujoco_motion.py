@@ -8,9 +8,9 @@ from common import size, some
 from polypod.accuracy import motion, standing
 from polypod.accuracy.bounds import exceeded
 from polypod.accuracy.motion import compare_step_responses, mujoco_tracks, polypod_tracks
-from polypod.accuracy.reference import Reference
-from polypod.accuracy.robot import load, names
 from polypod.accuracy.standing import FIRM, compare_drop, compare_standing
+from polypod.mujoco_model.reference import Reference
+from polypod.mujoco_model.robot import load, names
 
 CORE = ("anymal_b_kinova", "box_quadruped", "phantomx", "spot", "unitree_g1", "unitree_go2", "unitree_go2w")
 """Robots of the core tier: a speed limit that binds, no abduction, six legs, dry friction, a waist

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import polypod
-from polypod.accuracy.reference import Reference
-from polypod.accuracy.robot import load, names
+from polypod.mujoco_model.reference import Reference
+from polypod.mujoco_model.robot import load, names
 
 
 @pytest.mark.parametrize("name", names())

@@ -8,8 +8,8 @@ import pytest
 
 import polypod
 from polypod import _core
-from polypod.accuracy import robot as robots
-from polypod.accuracy.reference import GRAVITY, Ground, Reference
+from polypod.mujoco_model import robot as robots
+from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
 from polypod.robustness import twins
 from polypod.sim2sim import differences
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import polypod
-from polypod.accuracy.reference import GRAVITY, Ground, Reference
+from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
 
 MASS, RADIUS = 2.0, 0.1
 DT = 0.001

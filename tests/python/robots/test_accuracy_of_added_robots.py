@@ -12,12 +12,13 @@ import pytest
 from test_add import HOME, fox
 
 import polypod
-from polypod.accuracy import bounds, reference, report, robot
+from polypod.accuracy import bounds, report
 from polypod.accuracy.file import compare_file
-from polypod.accuracy.reference import Ground, Reference
 from polypod.accuracy.standing import FRICTION, hold, pose
 from polypod.accuracy.statics import compare_statics
 from polypod.add import add, judge, kept
+from polypod.mujoco_model import reference, robot
+from polypod.mujoco_model.reference import Ground, Reference
 
 TAIL = """
   <body name="tail_base" pos="-0.3 0 0">
@@ -124,7 +125,7 @@ def test_another_file_is_seen(added, tmp_path, old, new, words):
 
 def test_a_report_has_the_files_figures_and_a_verdict(added):
     fox = robot.load(str(added))
-    made = report.Report("x.y", [], [], [], [], [], [], [], [], [], [], files=compare_file(fox))
+    made = report.Report("x.y", files=compare_file(fox))
     assert "1e-4" in made.verdict() or "1e-6" in made.verdict()
     assert "test_fox" in made.verdict()
     worse = dataclasses.replace(made.files[1], errors=dataclasses.replace(made.files[1].errors, joint_limits=0.01))

@@ -16,8 +16,8 @@ from common import size
 from lab import bodies_coverage
 from polypod import _core, bodies, rotations
 from polypod import files as files_of_polypod
-from polypod.accuracy import reference
 from polypod.accuracy.statics import relative_error
+from polypod.mujoco_model import reference
 
 COUNT = size(20, 200)
 

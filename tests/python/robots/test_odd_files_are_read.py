@@ -11,9 +11,9 @@ from test_new_robot import quadruped
 
 from polypod import _core
 from polypod import add as adding
-from polypod.accuracy import robot as accuracy_robot
-from polypod.accuracy.reference import Reference
 from polypod.add import add, inertias, sources
+from polypod.mujoco_model import robot as model_robot
+from polypod.mujoco_model.reference import Reference
 
 WAG = '<body pos="0 0 .1"><joint name="wag"/><geom size=".03" mass=".2"/></body>'
 
@@ -114,7 +114,7 @@ def test_moments_that_no_body_has_are_compared_too(tmp_path):
     assert any("violates the triangle inequality" in note for note in added.notes)
     assert not any("not compared" in note for note in added.notes)
     assert added.errors["float64"].worst() < 1e-6
-    robot = accuracy_robot.load(str(added.new.path))
+    robot = model_robot.load(str(added.new.path))
     reference = Reference.of(robot, dt=0.005)
     moments = np.linalg.eigvalsh([[0.002, 0.0001, 0], [0.0001, 0.003, 0], [0, 0, 0.009]])
     bodies = np.asarray(reference.model.body_inertia)

@@ -3,10 +3,10 @@
 import pytest
 
 from common import size, some
-from polypod.accuracy import sweeps
-from polypod.accuracy.bounds import exceeded
-from polypod.accuracy.robot import load, names
-from polypod.accuracy.sweeps import COUNTS, USUAL, compare_sweeps
+from lab.accuracy import sweeps
+from lab.accuracy.bounds import exceeded
+from lab.accuracy.sweeps import COUNTS, USUAL, compare_sweeps
+from polypod.mujoco_model.robot import load, names
 
 
 @pytest.fixture(autouse=True)

@@ -50,7 +50,7 @@ def measure(robots: Sequence[str], num_envs: int, threads: int | None, seed: int
         UnknownNameError: for an unknown robot.
     """
     if len(set(robots)) < 2 or num_envs < len(robots):
-        raise _core.ConfigError("--kinds takes two different robots or more, and --num-envs one env for each at least")
+        raise _core.ConfigError("--robots takes two different robots or more, and --num-envs one env for each at least")
     threads = threads or os.cpu_count() or 1
     progress(f"control steps of {len(robots)} kinds together and one by one, {threads} threads")
     samples = {"mixed": control_steps(TASK, num_envs, threads, seed, robots=robots)}

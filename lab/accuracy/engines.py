@@ -1,30 +1,19 @@
 """The two engines side by side, on the same robots, at the same step."""
 
 import dataclasses
-import math
 import statistics
 import time
 
 import numpy as np
 
-import polypod
 from polypod.accuracy import motion
-from polypod.accuracy.reference import GRAVITY
-from polypod.accuracy.robot import Array, Robot, with_actuators
-from polypod.accuracy.standing import DT, FRICTION, SETTLE_TIME, hold, pitch, pose
+from polypod.accuracy.result import Result
+from polypod.accuracy.standing import DT, SETTLE_TIME, hold, on_its_feet, pitch, stands
+from polypod.mujoco_model.reference import GRAVITY
+from polypod.mujoco_model.robot import Array, Robot, with_actuators
 
 STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
 """Physics steps that are tried, s."""
-STAND_TIME = 2.0
-"""How long a robot has to stand at a step, s."""
-CALM_TIME = 0.5
-"""At the end of it, in which the base may not move about, s."""
-CALM_SPEED = 0.1
-"""Largest speed of the base at rest, m/s."""
-LEAST_HEIGHT = 0.6
-"""Lowest height of the base of a standing robot, as a share of its height before gravity acts."""
-LEAST_UPRIGHT = math.cos(math.radians(30.0))
-"""Cosine of the largest tilt of a robot that stands."""
 SPEED_ENVS = 64
 """Envs in which the speed is measured."""
 SPEED_STEPS = {"articulated": 1000, "avian": 50}
@@ -65,10 +54,9 @@ class Engine:
 
 
 @dataclasses.dataclass(frozen=True)
-class Engines:
+class Engines(Result):
     """Both engines' figures of one robot."""
 
-    robot: str
     articulated: Engine
     avian: Engine
 
@@ -102,22 +90,8 @@ def _apart(torque: Array, other: Array) -> float:
     return float(np.abs(other - torque).max()) / float(np.abs(torque).max())
 
 
-def stands(robot: Robot, engine: str, dt: float) -> bool:
-    """Whether a robot that is set on its feet is still on them after 2 s at this step, and calm."""
-    sim = _simulation(robot, engine, dt)
-    hold(sim, robot, STAND_TIME - CALM_TIME)
-    before = sim.qpos[0, :3]
-    hold(sim, robot, CALM_TIME)
-    qpos, upright = sim.qpos[0], _upright(sim.qpos[0])
-    if not np.isfinite(qpos).all():
-        return False
-    calm = float(np.linalg.norm(qpos[:3] - before)) < CALM_SPEED * CALM_TIME
-    slow = float(np.linalg.norm(sim.qvel[0, :3])) < CALM_SPEED
-    return calm and slow and qpos[2] > LEAST_HEIGHT * robot.base_height and upright > LEAST_UPRIGHT
-
-
 def _measure(robot: Robot, engine: str, deviation: Array) -> Engine:
-    sim = _simulation(robot, engine, DT)
+    sim = on_its_feet(robot, DT, engine)
     drift, every = 0.0, 0.1
     for _ in range(round(SETTLE_TIME / every)):
         hold(sim, robot, every)
@@ -143,7 +117,7 @@ def frictionless_torque(robot: Robot, engine: str) -> Array:
     Its joints have no dry friction.
     """
     with with_actuators(robot, {group: {"friction": 0.0} for group in robot.actuators.groups}) as config:
-        sim = _simulation(robot, engine, DT, source=config)
+        sim = on_its_feet(robot, DT, engine, source=config)
         hold(sim, robot, SETTLE_TIME)
     return sim.joint_torque[0]
 
@@ -151,7 +125,7 @@ def frictionless_torque(robot: Robot, engine: str) -> Array:
 def _largest_step(robot: Robot, engine: str) -> float:
     largest = 0.0
     for dt in STEPS:
-        if not stands(robot, engine, dt):
+        if not stands(robot, dt, engine):
             break
         largest = dt
     return largest
@@ -160,27 +134,10 @@ def _largest_step(robot: Robot, engine: str) -> float:
 def _speed(robot: Robot, engine: str) -> float:
     """Robots that hold their default pose; a first run warms caches up."""
     steps = SPEED_STEPS[engine]
-    sim = _simulation(robot, engine, DT, SPEED_ENVS)
+    sim = on_its_feet(robot, DT, engine, num_envs=SPEED_ENVS)
     rates = []
     for _ in range(TIMINGS + 1):
         start = time.thread_time()
         hold(sim, robot, steps * DT)
         rates.append(SPEED_ENVS * steps / (time.thread_time() - start))
     return statistics.median(rates[1:])
-
-
-def _simulation(
-    robot: Robot, engine: str, dt: float, num_envs: int = 1, source: str | None = None
-) -> polypod.Simulation:
-    """A robot on its feet in the default pose, from its config or that of the path `source`."""
-    sim = polypod.Simulation(
-        source or robot.source, num_envs, dt=dt, engine=engine, friction=FRICTION, self_collision=False, threads=1
-    )
-    sim.set_state(pose(robot, 0.0))
-    return sim
-
-
-def _upright(qpos: Array) -> float:
-    """The z component of the base's z axis."""
-    _, x, y, _ = qpos[3:7]
-    return float(1.0 - 2.0 * (x * x + y * y))

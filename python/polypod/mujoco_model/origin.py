@@ -3,7 +3,7 @@
 `polypod add` keeps the model of an MJCF file next to the robot's URDF (`polypod.add.kept`). A robot
 with such a file is compared with this model: its bodies, joints, armature, damping, dry friction
 and shapes are the file's. The compared settings are the same for all robots, see
-`polypod.accuracy.reference`: actuators and their limits, friction and stiffness of contacts,
+`polypod.mujoco_model.reference`: actuators and their limits, friction and stiffness of contacts,
 springs, surfaces of links, held joints. Features that polypod leaves out are off: tendons, equality
 constraints, the medium, and shapes that the ground does not touch. All other robots are compared
 with MuJoCo's model of their URDF.
@@ -127,7 +127,7 @@ def _tops(spec: Any) -> list[Any]:
     return found
 
 
-def find(source: str, urdf_key: str, base: str) -> Origin | None:
+def origin_of(source: str, urdf_key: str, base: str) -> Origin | None:
     """The MJCF file of a robot; None without one, or if its base is another body than polypod's.
 
     Args:

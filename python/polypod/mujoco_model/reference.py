@@ -19,7 +19,7 @@ Settings that differ from MuJoCo's defaults, and the reasons:
   mrad in a second). Its time constant is set to two steps and its impedance to 0.9999, which makes
   it Coulomb's.
 - Limits of effort, position limits and speed limits, where `bounded`: see
-  `polypod.accuracy.limits`.
+  `polypod.mujoco_model.limits`.
 - Shapes touch the ground alone, not each other.
 - Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim`
   3), with torsional friction in four, with rolling friction in six. A surface of the config has a
@@ -38,20 +38,18 @@ import functools
 import math
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from polypod import _core
 from polypod._core import ConfigError
-from polypod.accuracy.limits import Limits
-from polypod.accuracy.robot import Actuators, Array, Robot, Surface
 from polypod.add import inertias
 from polypod.extras import package
-
-if TYPE_CHECKING:
-    from polypod.accuracy.origin import Origin
+from polypod.mujoco_model.limits import Limits
+from polypod.mujoco_model.origin import Origin
+from polypod.mujoco_model.robot import Actuators, Array, Robot, Surface
 
 Integrator = Literal["implicitfast", "RK4"]
 
@@ -169,7 +167,7 @@ class Reference:
         surfaces: tuple[Surface, ...] = (),
         bounded: bool = False,
         joint_range: Array | None = None,
-        origin: "Origin | None" = None,
+        origin: Origin | None = None,
     ) -> None:
         """Compiles the model.
 
@@ -431,7 +429,7 @@ def _set_springs(model: Any, joint_names: tuple[str, ...], actuators: Actuators)
         model.qpos_spring[joint.qposadr[0]] = rest
 
 
-def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...], origin: "Origin | None") -> None:
+def _add_surfaces(spec: Any, ground: Ground, surfaces: tuple[Surface, ...], origin: Origin | None) -> None:
     """Gives geoms the surfaces of their links.
 
     Each decides alone: the ground's numbers are in its own already.

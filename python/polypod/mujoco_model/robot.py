@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +16,7 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.add.root import rooted
 from polypod.compat import tomllib
-
-if TYPE_CHECKING:
-    from polypod.accuracy.origin import Origin
+from polypod.mujoco_model.origin import Origin, origin_of
 
 Array = npt.NDArray[np.float64]
 
@@ -116,7 +114,7 @@ class Robot:
     narrowed: tuple[tuple[float, float], ...]
     """Position limits that its config states in the place of the file's, in the directions of
     slots, rad or m."""
-    origin: "Origin | None" = None
+    origin: Origin | None = None
     """The MJCF file that it comes from; None: it is compared with MuJoCo's model of its URDF."""
     surfaces: tuple[Surface, ...] = ()
 
@@ -157,14 +155,11 @@ def load(source: str) -> Robot:
         UnknownNameError: for another name.
         ConfigError: for a config that cannot be read, and for a robot whose actuators are networks.
     """
-    # it imports what imports this module
-    from polypod.accuracy import origin
-
     sim = _core.VecSim(TASK, 1, robots=[source], threads=1)
     (name,) = sim.robots
     robot = of(sim, name, source)
     base = str(_core.Simulation(source, threads=1, ground=None).link_names[0])
-    robot = dataclasses.replace(robot, origin=origin.find(source, robot.urdf_file, base))
+    robot = dataclasses.replace(robot, origin=origin_of(source, robot.urdf_file, base))
     if robot.actuators.networks.any():
         raise _core.ConfigError(
             f"{name}: its actuators are networks, and accuracy compares engines under gains; compare the robot it "

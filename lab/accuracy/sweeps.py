@@ -6,8 +6,9 @@ import inspect
 import numpy as np
 
 import polypod
-from polypod.accuracy.robot import Array, Robot
+from polypod.accuracy.result import Result
 from polypod.accuracy.standing import DT, FRICTION
+from polypod.mujoco_model.robot import Array, Robot
 
 FINE = 0.0005
 """The step that the physics step is held against, s."""
@@ -31,13 +32,12 @@ next."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweeps:
+class Sweeps(Result):
     """Error of the base's velocity after 20 ms of random targets, m/s.
 
     Root mean square over robots and moments.
     """
 
-    robot: str
     left: dict[int, float]
     """Error of each number of sweeps, compared with 256 sweeps."""
     step: float

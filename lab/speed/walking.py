@@ -1,4 +1,4 @@
-"""Time and samples until all robots walk: `polypod bench --walk`."""
+"""Time and samples until all robots walk: `python -m lab.speed walk`."""
 
 import dataclasses
 import math
@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
-from polypod.bench import energy
+from lab.speed import energy
 from polypod.bench.learners import Options, heading, training
 from polypod.bench.report import Progress
 from polypod.drawing import pyplot_for, save

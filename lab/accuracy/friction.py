@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import polypod
-from polypod.accuracy.reference import GRAVITY, Ground, Reference
-from polypod.accuracy.robot import Array
+from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
+from polypod.mujoco_model.robot import Array
 
 BLOCK = """<robot name="block">
   <!-- MuJoCo only -->
@@ -27,6 +27,11 @@ BLOCK = """<robot name="block">
 """2 kg, 20 by 20 by 10 cm, a solid of uniform density."""
 HALF_HEIGHT = 0.05
 """Half of the block's height, m."""
+SLIDES = ((0.2, 1.0, 0.0), (0.5, 2.0, 0.0), (0.5, 2.0, 0.6), (0.8, 1.0, 0.0), (1.0, 3.0, math.pi / 4))
+"""Friction, speed (m/s) and direction (rad) of the pushed blocks."""
+SLOPES = ((0.3, 30.0), (0.5, 20.0), (0.5, 26.0), (0.5, 27.2), (0.8, 20.0), (0.8, 38.0), (0.8, 39.3), (0.8, 45.0))
+"""Friction and angle (degrees) of the blocks on slopes; atan(0.5) is 26.57 and atan(0.8) 38.66
+degrees."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +53,12 @@ class Slide:
     """Distance in MuJoCo, m."""
     sideways: float
     """polypod's excursion across the push, m."""
+
+    @property
+    def case(self) -> str:
+        """Name of what was compared."""
+        direction = math.degrees(self.direction)
+        return f"block, friction {self.friction:g}, {self.speed:g} m/s, {direction:.0f} degrees"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +82,11 @@ class Slope:
     """MuJoCo's, m/s^2."""
     distance: float
     """Along the slope, polypod's, m."""
+
+    @property
+    def case(self) -> str:
+        """Name of what was compared."""
+        return f"block, friction {self.friction:g}, slope of {math.degrees(self.angle):g} degrees"
 
 
 def compare_slide(friction: float, speed: float, *, direction: float = 0.0, dt: float = 0.001) -> Slide:

@@ -1,14 +1,13 @@
-"""The tables of a report."""
+"""The text of docs/accuracy.md around its tables, and the summary of README.md."""
 
-import dataclasses
 import math
 import textwrap
 from collections.abc import Iterable
 
-from polypod.accuracy import engines, sweeps
-from polypod.accuracy.bounds import BOUNDS
-from polypod.accuracy.report import Report
+from lab.accuracy import engines, sweeps
+from lab.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
+from polypod.accuracy.tables import sections
 from polypod.documents import table
 from polypod.provenance import measured, sentence
 
@@ -17,19 +16,12 @@ COMMAND = "make accuracy"
 
 def tables(report: Report, command: str = COMMAND) -> str:
     """Everything, for docs/accuracy.md; `command` makes them."""
-    parts = (
-        (_SETTINGS, ""),
-        (_BOUNDS, _bounds(report)),
-        *([(_FILES, _files(report))] if report.files else []),
-        (_STATICS, _statics(report)),
-        (_RESPONSES, _responses(report)),
-        (_DROPS, _drops(report)),
-        (_STANDING, _standing(report)),
-        (_RESTS, _rests(report)),
-        (_SWEEPS, _sweeps(report)),
-        (_ENGINES, _engines(report)),
-        (_CONE, _slides(report) + "\n\n" + _slopes(report)),
-    )
+    parts = {
+        **sections(report),
+        "Error of the contact solver": _sweeps(report),
+        "The two engines": _engines(report),
+        "The friction cone": _slides(report) + "\n\n" + _slopes(report),
+    }
     values = {
         "mujoco": report.mujoco,
         "states": report.statics[0].states,
@@ -56,7 +48,8 @@ def tables(report: Report, command: str = COMMAND) -> str:
         "hanging": _hanging_robots(report),
         "mujoco_coarse": 1e3 * MUJOCO_COARSE,
     }
-    return "\n\n".join(f"{_prose(text.format(**values))}\n\n{table}".strip() for text, table in parts)
+    said = {title: _prose(text.format(**values)) for title, text in PROSE.items()}
+    return "\n\n".join([said[""], *(f"### {title}\n\n{said[title]}\n\n{rows}" for title, rows in parts.items())])
 
 
 def summary(report: Report) -> str:
@@ -67,21 +60,10 @@ def summary(report: Report) -> str:
     )
     rows = [
         (bound.quantity, bound.measured, bound.text(worst[1]), bound.limit)
-        for bound in BOUNDS
+        for bound in report.bounds
         if bound.front_page and (worst := report.worst(bound)) is not None
     ]
     return head + "\n\n" + table(("quantity", "measured", "worst", "bound"), rows)
-
-
-def _bounds(report: Report) -> str:
-    return table(
-        ("quantity", "measured", "worst", "of", "bound", "why"),
-        [
-            (bound.quantity, bound.measured, bound.text(worst[1]), worst[0], bound.limit, bound.reason)
-            for bound in BOUNDS
-            if (worst := report.worst(bound)) is not None
-        ],
-    )
 
 
 def _worst(values: Iterable[float]) -> float:
@@ -118,41 +100,32 @@ def _hanging_robots(report: Report) -> str:
     return f"Gravity acts, but for {', '.join(names)}: gains that do not hold a joint up let it topple to its stop."
 
 
-_SETTINGS = """
+PROSE = {
+    "": """
 MuJoCo {mujoco} compiles the same {sources}; polypod computes in `f32` with {sweeps} sweeps. Written by `{command}`.
 {measured}
-"""
-
-_BOUNDS = """### Bounds
-
+""",
+    "Bounds": """
 The largest figure of each quantity over all robots and cases, and the bound that it may not exceed. The command fails
-where one does (`python/polypod/accuracy/bounds.py`).
-"""
-
-_FILES = """### Against the MJCF file
-
+where one does (`python/polypod/accuracy/bounds.py`, `lab/accuracy/bounds.py`).
+""",
+    "Against the MJCF file": """
 Robots that `polypod add` made of an MJCF file are compared with MuJoCo's model of it. Largest relative error over 8
 random states, in both precisions; *step* is what one physics step with damping and dry friction adds to the velocity.
 The tables below compare with the same model.
-"""
-
-_STATICS = """### Identities
-
+""",
+    "Identities": """
 Largest error over {states} random states. The error of a vector or matrix is the largest difference of an entry,
 relative to MuJoCo's largest entry. For forward dynamics it is relative to the largest acceleration of that state.
-"""
-
-_RESPONSES = """### Step responses
-
+""",
+    "Step responses": """
 The base is fixed, without ground. From rest in the default pose, the target of one joint jumps by 0.1 rad for 1 s, each
 joint in turn. {hanging} The table shows the largest deviation of any joint from the converged answer (MuJoCo, `RK4`,
 0.25 ms), in mrad. MuJoCo's columns are position actuators with the same gains under `implicitfast`. Both simulators
-hold the limits of effort, speed and position: `python/polypod/accuracy/limits.py`. *Further* is the number of jumps
+hold the limits of effort, speed and position: `python/polypod/mujoco_model/limits.py`. *Further* is the number of jumps
 that polypod follows less closely than MuJoCo, both at 5 ms.
-"""
-
-_DROPS = """### Drops from 0.3 m
-
+""",
+    "Drops from 0.3 m": """
 This table and those of standing, slopes and engines are of robots that stand by themselves. {standing}
 
 The feet begin 0.3 m above the ground. Friction is {friction:g}, targets are the default pose, torques stay within
@@ -165,35 +138,27 @@ With {firm:g} times the gains the robots land and stand. With the gains of the t
 drag their feet. Where they end depends on the step: MuJoCo's own answers at {mujoco_coarse:g} ms differ from those at
 *dt* by up to {sensitive_height:.1f} mm and {sensitive_pitch:.1f} degrees. At 0.1 ms the simulators agree, so what
 remains at {dt:g} ms is the error of the step and the speed limits, and not a difference between contact models.
-"""
-
-_STANDING = """### Forces on standing feet
-
+""",
+    "Forces on standing feet": """
 The robot is set on its feet in the default pose, with its own gains and friction {friction:g}. Forces are those after
 10 s, polypod at {dt:g} ms, MuJoCo at {fine:g} ms. Legs with PD gains are springs, so the pose determines each foot's
 normal force. *Worst foot* is the largest difference of a normal force, relative to MuJoCo's on that foot. Horizontal
 forces also depend on where feet and joints with dry friction (A1, Spot) came to rest. *Worst horizontal* is the
 largest difference of a horizontal force, relative to the normal force on that foot.
-"""
-
-_RESTS = """### At rest on a slope of 20 degrees
-
+""",
+    "At rest on a slope of 20 degrees": """
 Friction is {friction:g}, gains are {firm:g} times the robot's own; with their own gains some robots fall over, in
 MuJoCo too. After 10 s to settle, the table shows the largest distance of the base from where it was, over another
 10 s, polypod at {dt:g} ms and MuJoCo at {slope_fine:g} ms. MuJoCo's soft contacts always creep.
-"""
-
-_SWEEPS = """### Error of the contact solver
-
+""",
+    "Error of the contact solver": """
 Robots kick about on the ground: new random targets every {control:g} ms, within {amplitude:g} rad of the default
 position, with self-collision and friction {friction:g}. The table shows the error of the base's velocity after
 {control:g} ms from one state, root mean square, mm/s, against {converged} sweeps; there is no warm start at the
 beginning. *Step* is the error of physics steps of {dt:g} ms against {sweeps_fine:g} ms, {converged} sweeps in both.
 {slowest}
-"""
-
-_ENGINES = """### The two engines
-
+""",
+    "The two engines": """
 Each robot under `physics.engine = "articulated"` and `"avian"`, both at {dt:g} ms.
 
 *Height*, *pitch*, *force / weight*: after 10 s on its feet in the default pose, with its own gains and friction
@@ -203,122 +168,14 @@ step responses above, over all jumps, joints and times. *Drift*: the largest dis
 base pose and joint positions put it; zero in reduced coordinates. *Largest step*: the largest one with which the robot
 stands calmly for 2 s, of {steps} ms. *Steps per second*: physics steps on one core, {speed_envs} standing envs, median
 of {timings} timings.
-"""
-
-_CONE = """### The friction cone
-
+""",
+    "The friction cone": """
 A block of 2 kg, both simulators at 1 ms. Pushed over a level plane it stops after `v^2 / (2 mu g)`, less the way of
 half a step. On a slope it holds below `atan(mu)` and slides with `g (sin - mu cos)` above. Just below the limit
 MuJoCo's soft contacts creep.
-"""
-
-
-def _files(report: Report) -> str:
-    head = ("robot", "precision", "mass", "com", "limits", "mass matrix", "bias", "forward", "step")
-    return table(
-        head,
-        [(r.robot, r.dtype, *(f"{error:.1e}" for error in dataclasses.astuple(r.errors))) for r in report.files],
-    )
-
-
-def _statics(report: Report) -> str:
-    head = ("robot", "mass", "com", "position", "rotation", "mass matrix", "bias", "forward", "inverse")
-    return table(
-        head,
-        [
-            (
-                r.robot,
-                *(
-                    f"{value:.1e}"
-                    for value in (
-                        r.total_mass,
-                        r.center_of_mass,
-                        r.link_position,
-                        r.link_rotation,
-                        r.mass_matrix,
-                        r.bias_force,
-                        r.forward_dynamics,
-                        r.inverse_dynamics,
-                    )
-                ),
-            )
-            for r in report.statics
-        ],
-    )
-
-
-def _responses(report: Report) -> str:
-    head = ("robot", "0.5 ms", "MuJoCo 0.5 ms", "5 ms", "MuJoCo 5 ms", "further")
-    return table(
-        head,
-        [
-            (
-                r.robot,
-                *(f"{1e3 * x:.2f}" for x in (r.fine, r.mujoco_fine, r.coarse, r.mujoco_coarse)),
-                str(r.joints_further),
-            )
-            for r in report.responses
-        ],
-    )
-
-
-def _drops(report: Report) -> str:
-    head = (
-        "robot",
-        "gains",
-        "dt (ms)",
-        "height (m)",
-        "MuJoCo (m)",
-        "difference (mm)",
-        "pitch (degrees)",
-        "MuJoCo (degrees)",
-        "difference (degrees)",
-        f"at {1e3 * DT:g} ms (mm)",
-        f"at {1e3 * DT:g} ms (degrees)",
-    )
-    return table(
-        head,
-        [
-            (
-                r.robot,
-                f"{r.gains:g}",
-                f"{1e3 * r.dt:g}",
-                f"{r.height:.4f}",
-                f"{r.mujoco_height:.4f}",
-                f"{1e3 * r.height_error:.1f}",
-                f"{math.degrees(r.pitch):+.2f}",
-                f"{math.degrees(r.mujoco_pitch):+.2f}",
-                f"{math.degrees(r.pitch_error):.2f}",
-                f"{1e3 * r.coarse_height_error:.1f}",
-                f"{math.degrees(r.coarse_pitch_error):.2f}",
-            )
-            for r in report.drops
-        ],
-    )
-
-
-def _standing(report: Report) -> str:
-    return table(
-        ("robot", "weight (N)", "normal forces (N)", "MuJoCo (N)", "worst foot", "worst horizontal"),
-        [
-            (
-                r.robot,
-                f"{r.weight:.1f}",
-                " ".join(f"{x:.1f}" for x in r.normal),
-                " ".join(f"{x:.1f}" for x in r.mujoco_normal),
-                f"{100 * r.normal_error:.2f} %",
-                f"{100 * r.tangential_error:.2f} %",
-            )
-            for r in report.standing
-        ],
-    )
-
-
-def _rests(report: Report) -> str:
-    return table(
-        ("robot", "up the slope", "polypod (mm)", "MuJoCo (mm)"),
-        [(r.robot, r.uphill, f"{1e3 * r.creep:.4f}", f"{1e3 * r.mujoco_creep:.4f}") for r in report.rests],
-    )
+""",
+}
+"""Paragraphs before each table, by the title of the section; the first stands before all."""
 
 
 def _sweeps(report: Report) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.accuracy.robot import Actuators, Array
+from polypod.mujoco_model.robot import Actuators, Array
 
 SPARE_SPEED = 20.0
 """Speed that a joint may gain in a step without passing its position limit unnoticed, rad/s or

@@ -1,0 +1,1 @@
+"""The speed figures of docs/performance.md that `polypod bench` does not measure."""
