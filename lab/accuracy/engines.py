@@ -9,8 +9,9 @@ import numpy as np
 from polypod.accuracy import motion
 from polypod.accuracy.result import Result
 from polypod.accuracy.standing import DT, SETTLE_TIME, hold, on_its_feet, pitch, stands
+from polypod.arrays import Array
 from polypod.mujoco_model.reference import GRAVITY
-from polypod.mujoco_model.robot import Array, Robot, with_actuators
+from polypod.mujoco_model.robot import Robot, with_actuators
 
 STEPS = (0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.0125, 0.016, 0.02, 0.025, 0.04, 0.05, 0.1, 0.125, 0.25)
 """Physics steps that are tried, s."""

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 import polypod
+from polypod.arrays import Array
 from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
-from polypod.mujoco_model.robot import Array
 
 BLOCK = """<robot name="block">
   <!-- MuJoCo only -->

@@ -8,7 +8,8 @@ import numpy as np
 import polypod
 from polypod.accuracy.result import Result
 from polypod.accuracy.standing import DT, FRICTION
-from polypod.mujoco_model.robot import Array, Robot
+from polypod.arrays import Array
+from polypod.mujoco_model.robot import Robot
 
 FINE = 0.0005
 """The step that the physics step is held against, s."""

@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import json
 import math
-import shlex
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from typing import Any, Literal
 
 import torch
 
-from polypod import _core, bundled, descriptions, runs
+from polypod import _core, bundled, descriptions, runs, text
 from polypod.compat import tomllib
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
@@ -83,16 +82,16 @@ class Options:
     @property
     def command(self) -> str:
         """The command line of these options, for the manifest."""
-        words = ["polypod", "adapt", self.robot]
-        if self.checkpoint is not None:
-            words += ["--checkpoint", bundled.shown(self.checkpoint)]
+        given: dict[str, Any] = {"--checkpoint": self.checkpoint and bundled.shown(self.checkpoint)}
         for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed"):
             if (value := getattr(self, name)) != getattr(Options, name):
-                words += [f"--{name.replace('_', '-')}", str(value)]
-        words += [word for change in self.overrides for word in ("--set", change)]
-        words += [word for pair in self.package_dirs.items() for word in ("--package-dir", "=".join(pair))]
-        words += [word for joint, at in self.locked_joints.items() for word in ("--lock", f"{joint}={at}")]
-        return shlex.join(words)
+                given[f"--{name.replace('_', '-')}"] = value
+        repeated = {
+            "--set": self.overrides,
+            "--package-dir": map("=".join, self.package_dirs.items()),
+            "--lock": (f"{joint}={at}" for joint, at in self.locked_joints.items()),
+        }
+        return text.command_line(("polypod", "adapt", self.robot), given, repeated)
 
 
 @dataclasses.dataclass(frozen=True)

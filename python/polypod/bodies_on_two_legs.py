@@ -11,11 +11,9 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from polypod.arrays import Array
 from polypod.body_parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform
-
-Matrix = npt.NDArray[np.float64]
 
 POINTS = 0.2
 """Share of bipeds on points."""
@@ -134,7 +132,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
     for place, y in (("L", 1.0), ("R", -1.0)):
         names = [f"{place}_{part}" for part in ("hip_1", "hip_2", "thigh", "shank", "ankle", "sole")]
         hips = [*names[: len(order) - 1], names[2]]
-        at: npt.NDArray[np.float64] = np.array([0.0, y * (beside - sum(inwards)), 0.0])
+        at: Array = np.array([0.0, y * (beside - sum(inwards)), 0.0])
         for i, (turn, parent, child) in enumerate(zip(order, ["base", *hips[:-1]], hips, strict=True)):
             axis = _axis(turn, y, tilt if cants_pitch else 0.0, cant)
             is_last = child == names[2]
@@ -340,17 +338,17 @@ def _arms(
             parent, at = hand.name, (0.0, 0.0, -0.15 * forearm)
 
 
-def _turn(axis: Sequence[float], angle: float) -> Matrix:
+def _turn(axis: Sequence[float], angle: float) -> Array:
     """The rotation about an axis."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: Matrix = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    turned: Array = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
     return turned
 
 
-def _places(parts: Sequence[_Part], angles: Mapping[str, float]) -> dict[str, tuple[Matrix, Matrix]]:
+def _places(parts: Sequence[_Part], angles: Mapping[str, float]) -> dict[str, tuple[Array, Array]]:
     """Orientation of each link and place of its joint, in the base's frame of the upright pose."""
-    places: dict[str, tuple[Matrix, Matrix]] = {}
+    places: dict[str, tuple[Array, Array]] = {}
     for part in parts:
         if not part.parent:
             places[part.link.name] = np.eye(3), np.zeros(3)
@@ -361,14 +359,14 @@ def _places(parts: Sequence[_Part], angles: Mapping[str, float]) -> dict[str, tu
     return places
 
 
-def _centre(parts: Sequence[_Part], places: Mapping[str, tuple[Matrix, Matrix]]) -> Matrix:
+def _centre(parts: Sequence[_Part], places: Mapping[str, tuple[Array, Array]]) -> Array:
     """The centre of mass."""
     total = sum(part.link.mass for part in parts)
     moments = [
         part.link.mass * (places[part.link.name][1] + places[part.link.name][0] @ np.array(part.link.at))
         for part in parts
     ]
-    centre: Matrix = np.sum(moments, axis=0) / total
+    centre: Array = np.sum(moments, axis=0) / total
     return centre
 
 
@@ -399,7 +397,7 @@ def _stand(parts: list[_Part], rng: np.random.Generator, leg: float, ends: Seque
 
 
 def _reach(
-    parts: Sequence[_Part], ours: Sequence[_Part], angles: dict[str, float], end: _End, goal: Matrix, leg: float
+    parts: Sequence[_Part], ours: Sequence[_Part], angles: dict[str, float], end: _End, goal: Array, leg: float
 ) -> None:
     """Moves the left leg until its sole is level and there, by damped least squares."""
     for _ in range(40):
@@ -444,7 +442,7 @@ def _call_zero(parts: Sequence[_Part], rng: np.random.Generator) -> None:
             part.zero = -math.pi / 2
 
 
-def _base_frame(rng: np.random.Generator) -> Matrix:
+def _base_frame(rng: np.random.Generator) -> Array:
     """Place of the base's frame, as a share of the leg, from the upright pose's origin."""
     where = rng.choice(3, p=[0.45, 0.48, 0.07])
     above = (rng.uniform(-0.02, 0.12), rng.uniform(0.1, 0.48), -rng.uniform(0.9, 1.3))[where]
@@ -452,7 +450,7 @@ def _base_frame(rng: np.random.Generator) -> Matrix:
 
 
 def _written(
-    parts: Sequence[_Part], frame: Matrix, ends: Sequence[_End]
+    parts: Sequence[_Part], frame: Array, ends: Sequence[_End]
 ) -> tuple[list[Joint], list[Link], list[tuple[str, str, Vector, float]]]:
     """Joints, links and balls as a file has them: frames are parallel in its zero pose."""
     places = _places(parts, {part.joint: part.zero for part in parts})
@@ -480,7 +478,7 @@ def _written(
     return joints, links, feet
 
 
-def _in_direction_of_the_role(part: _Part, axis: Matrix) -> Matrix:
+def _in_direction_of_the_role(part: _Part, axis: Array) -> Array:
     """Flips the axis of a wrist that points against the direction of its role."""
     if part.group != "wrists":
         return axis
@@ -489,12 +487,12 @@ def _in_direction_of_the_role(part: _Part, axis: Matrix) -> Matrix:
     return -axis if told < 0.0 else axis
 
 
-def _vector(values: Matrix) -> Vector:
+def _vector(values: Array) -> Vector:
     x, y, z = (round(float(value), 9) + 0.0 for value in values)
     return x, y, z
 
 
-def _angles(turned: Matrix) -> Matrix:
+def _angles(turned: Array) -> Array:
     """Roll, pitch and yaw of an orientation."""
     pitch = math.asin(max(-1.0, min(1.0, -turned[2, 0])))
     return np.array([math.atan2(turned[2, 1], turned[2, 2]), pitch, math.atan2(turned[1, 0], turned[0, 0])])

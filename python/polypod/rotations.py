@@ -1,6 +1,4 @@
-"""Rotations in space: unit quaternions (w, x, y, z), one or rows of them, and matrices."""
-
-import math
+"""Rotations in space: unit quaternions (w, x, y, z), one or arrays of them, and matrices."""
 
 import numpy as np
 import numpy.typing as npt
@@ -61,17 +59,37 @@ def of_axes(axes: Array) -> Array:
     return quaternion
 
 
-def of_angles(roll: float, pitch: float, yaw: float) -> Array:
-    """Quaternion of rotations about the fixed x, y and z axes, in this order, rad."""
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(0.5 * a), math.sin(0.5 * a)) for a in (roll, pitch, yaw))
+def of_angles(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:
+    """[..., 4], rotations about the fixed x, y and z axes, in this order, by angles [...], rad."""
+
+    def about(axis: int, turn: npt.ArrayLike) -> Array:
+        rotation = np.zeros((*np.shape(turn), 3))
+        rotation[..., axis] = turn
+        return of_vector(rotation)
+
+    return product(about(2, yaw), product(about(1, pitch), about(0, roll)))
+
+
+def matrix_of_angles(roll: float, pitch: float, yaw: float) -> Array:
+    """[3, 3], the matrix of `of_angles`: `rpy` of a URDF."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(
         [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def angles(turn: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a matrix [3, 3], rad; yaw is 0 where pitch is a right angle."""
+    level = float(np.hypot(turn[0, 0], turn[1, 0]))
+    pitch = float(np.arctan2(-turn[2, 0], level))
+    if level < 1e-9:
+        # only the sum or the difference of roll and yaw counts
+        return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0
+    return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
 
 
 def x_axis_to(direction: Array) -> Array:
@@ -81,3 +99,69 @@ def x_axis_to(direction: Array) -> Array:
         return np.array([0.0, 0.0, 0.0, 1.0])
     turn = np.array([1.0 + x, 0.0, -z, y])
     return turn / np.linalg.norm(turn)
+
+
+def unit(quaternion: Array) -> Array:
+    """[..., 4] of length one."""
+    scaled: Array = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return scaled
+
+
+def continuous(quaternion: Array) -> Array:
+    """[frames, 4], the same turns with signs that do not jump between frames."""
+    flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0.0, -1.0, 1.0)
+    signs = np.concatenate([[1.0], np.cumprod(flips)])
+    signed: Array = quaternion * signs[:, np.newaxis]
+    return signed
+
+
+def rotated(quaternion: Array, vector: Array) -> Array:
+    """[..., 3], the turned vectors."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    a, b, c = (vector[..., i] for i in range(3))
+    # twice the cross product; np.cross takes three times as long
+    d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    turned: Array = np.stack(
+        [a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)], axis=-1
+    )
+    return turned
+
+
+def vector(quaternion: Array) -> Array:
+    """[..., 3], axis times angle of the shortest turns, rad."""
+    q = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
+    sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[..., :1])
+    scaled: Array = q[..., 1:] * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-12), 2.0)
+    return scaled
+
+
+def of_vector(turn: Array) -> Array:
+    """[..., 4], the inverse of `vector`."""
+    angle = np.linalg.norm(turn, axis=-1, keepdims=True)
+    share = np.where(angle > 1e-9, np.sin(0.5 * angle) / np.maximum(angle, 1e-12), 0.5)
+    return np.concatenate([np.cos(0.5 * angle), share * turn], axis=-1)
+
+
+def of_yaw(angle: Array) -> Array:
+    """[..., 4], turns to the left."""
+    zero = np.zeros_like(angle)
+    return np.stack([np.cos(0.5 * angle), zero, zero, np.sin(0.5 * angle)], axis=-1)
+
+
+def yaw(quaternion: Array) -> Array:
+    """[..., 4], the part of turns that is about the world's z axis."""
+    return of_yaw(heading(quaternion))
+
+
+def angle(left: Array, right: Array) -> Array:
+    """[...], angle between two orientations, rad."""
+    q = product(left, inverse(right))
+    between_them: Array = 2.0 * np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), np.abs(q[..., 0]))
+    return between_them
+
+
+def between(left: Array, right: Array, share: Array) -> Array:
+    """[..., 4], turns that go from `left` to `right` by these shares [...] of the shortest way."""
+    way = vector(product(right, inverse(left)))
+    return unit(product(of_vector(way * share[..., np.newaxis]), left))

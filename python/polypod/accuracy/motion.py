@@ -6,8 +6,9 @@ import numpy as np
 
 import polypod
 from polypod.accuracy.result import Result
+from polypod.arrays import Array
 from polypod.mujoco_model.reference import GRAVITY, Integrator, Reference
-from polypod.mujoco_model.robot import Array, Robot
+from polypod.mujoco_model.robot import Robot
 
 AMPLITUDE = 0.1
 """Size of the jump of a joint's target, rad."""

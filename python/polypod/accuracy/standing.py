@@ -7,8 +7,9 @@ import numpy as np
 
 import polypod
 from polypod.accuracy.result import Result
+from polypod.arrays import Array
 from polypod.mujoco_model.reference import GRAVITY, Ground, Reference
-from polypod.mujoco_model.robot import Array, Robot, with_actuators
+from polypod.mujoco_model.robot import Robot, with_actuators
 
 DROP_HEIGHT = 0.3
 """Height of the lowest foot above the ground, m."""

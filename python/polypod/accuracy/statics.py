@@ -7,8 +7,9 @@ import numpy as np
 import polypod
 from polypod import rotations
 from polypod.accuracy.result import Result
+from polypod.arrays import Array
 from polypod.mujoco_model.reference import Reference
-from polypod.mujoco_model.robot import Array, Robot
+from polypod.mujoco_model.robot import Robot
 
 NUM_STATES = 200
 """Random states per robot."""

@@ -18,7 +18,8 @@ import numpy as np
 
 from polypod import _core
 from polypod.add import child
-from polypod.add.description import Array, listed
+from polypod.add.description import listed
+from polypod.arrays import Array
 from polypod.extras import package
 
 POSES = ("home", "stand", "standing", "default", "init", "initial")

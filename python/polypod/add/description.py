@@ -7,7 +7,9 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from polypod import rotations
+from polypod.arrays import Array
+
 LISTED = 4
 """Names that a note lists; of more it states the number."""
 
@@ -137,35 +139,13 @@ def of_point(at: Array) -> Array:
     return turned
 
 
-def rpy(turn: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix, rad; yaw is 0 where pitch is a right angle."""
-    level = float(np.hypot(turn[0, 0], turn[1, 0]))
-    pitch = float(np.arctan2(-turn[2, 0], level))
-    if level < 1e-9:
-        # only the sum or the difference of roll and yaw counts
-        return float(np.arctan2(-turn[1, 2], turn[1, 1])), pitch, 0.0
-    return float(np.arctan2(turn[2, 1], turn[2, 2])), pitch, float(np.arctan2(turn[1, 0], turn[0, 0]))
-
-
 def _numbers(values: "Array | tuple[float, ...]") -> str:
     # adding zero takes the sign of a negative zero away
     return " ".join(repr(float(value) + 0.0) for value in values)
 
 
 def _origin(parent: ElementTree.Element, at: Array, turn: Array) -> None:
-    ElementTree.SubElement(parent, "origin", xyz=_numbers(at), rpy=_numbers(rpy(turn)))
-
-
-def turned(roll: float, pitch: float, yaw: float) -> Array:
-    """The rotation matrix of roll, pitch and yaw, rad."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+    ElementTree.SubElement(parent, "origin", xyz=_numbers(at), rpy=_numbers(rotations.angles(turn)))
 
 
 def inertial_of(link: ElementTree.Element, mass: float, com: Array, inertia: Array) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from polypod.add.description import Array
+from polypod.arrays import Array
 
 BALL_POINTS = 32
 """Points that stand for an ellipsoid: the most that the loader keeps of a mesh."""

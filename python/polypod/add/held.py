@@ -5,7 +5,8 @@ from collections.abc import Container, Mapping
 import numpy as np
 
 from polypod.add.compiling import Compiled, mujoco
-from polypod.add.description import Array, listed
+from polypod.add.description import listed
+from polypod.arrays import Array
 
 
 def held_in(

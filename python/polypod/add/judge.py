@@ -19,7 +19,8 @@ import numpy as np
 import polypod
 from polypod import _core
 from polypod.add.compiling import matrix, mujoco
-from polypod.add.description import Array, Description
+from polypod.add.description import Description
+from polypod.arrays import Array
 from polypod.compat import tomllib
 
 BOUNDS = {"float64": 1e-6, "float32": 1e-4}

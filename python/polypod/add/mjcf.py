@@ -32,11 +32,12 @@ import numpy as np
 from polypod.add import geared
 from polypod.add.actuators import actuators_of, drives_of, of_actuator
 from polypod.add.compiling import Compiled, compiled, matrix, mujoco
-from polypod.add.description import Array, Description, Drive, Joint, Link, listed, of_point
+from polypod.add.description import Description, Drive, Joint, Link, listed, of_point
 from polypod.add.held import held_in
 from polypod.add.left_out import left_out
 from polypod.add.shapes import shape_of, standing
 from polypod.add.surfaces import by_surface, floor_of, touches
+from polypod.arrays import Array
 
 TOKEN = 1e-6
 """Mass of a link between two joints of one body, kg: the least that the loader takes."""

@@ -1,9 +1,10 @@
 """URDFs by another root."""
 
-import math
 from xml.etree import ElementTree
 
 import numpy as np
+
+from polypod import rotations
 
 
 def rooted(urdf: str, base: str) -> str:
@@ -32,22 +33,10 @@ def _turn_round(origin: ElementTree.Element) -> None:
     """Replaces the pose of an `<origin>` by its inverse."""
     x, y, z = (float(number) for number in origin.get("xyz", "0 0 0").split())
     roll, pitch, yaw = (float(number) for number in origin.get("rpy", "0 0 0").split())
-    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
-    back = np.array(
-        [
-            [cy * cp, sy * cp, -sp],
-            [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr],
-            [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
-        ]
-    )
+    back = rotations.matrix_of_angles(roll, pitch, yaw).T
     place = -back @ np.array([x, y, z])
-    turn = (
-        math.atan2(back[2, 1], back[2, 2]),
-        -math.asin(max(-1.0, min(1.0, back[2, 0]))),
-        math.atan2(back[1, 0], back[0, 0]),
-    )
     origin.set("xyz", " ".join(repr(float(number)) for number in place))
-    origin.set("rpy", " ".join(repr(number) for number in turn))
+    origin.set("rpy", " ".join(repr(number) for number in rotations.angles(back)))
 
 
 def _end(joint: ElementTree.Element, tag: str) -> str | None:

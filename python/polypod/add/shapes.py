@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from polypod.add.compiling import Compiled, matrix, mujoco
-from polypod.add.description import Array, Shape
+from polypod.add.description import Shape
 from polypod.add.ellipsoid import BALL_ERROR, ball
 from polypod.add.surfaces import surface_of
+from polypod.arrays import Array
 
 FOOT_NAMES = re.compile(r"foot|feet|toe|sole|ankle_?roll|^(fl|fr|rl|rr|hl|hr|lf|rf|lh|rh)\d*$", re.IGNORECASE)
 """Names of geoms that stand on the ground."""

@@ -10,12 +10,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.add import inertias
 from polypod.add.compiling import mujoco
-from polypod.add.description import Array, Description, Joint, Link, inertial_of, listed, of_point, turned
+from polypod.add.description import Description, Joint, Link, inertial_of, listed, of_point
 from polypod.add.root import rooted
 from polypod.add.sources import MOST_BYTES
+from polypod.arrays import Array
 from polypod.files import read_bytes, real_path
 
 MOST_MESH = 256 << 20
@@ -298,7 +299,7 @@ def _pose(origin: ElementTree.Element | None) -> tuple[Array, Array]:
     attributes = {} if origin is None else origin.attrib
     at = np.array([float(number) for number in attributes.get("xyz", "0 0 0").split()])
     roll, pitch, yaw = (float(number) for number in attributes.get("rpy", "0 0 0").split())
-    return at, turned(roll, pitch, yaw)
+    return at, rotations.matrix_of_angles(roll, pitch, yaw)
 
 
 def _end(joint: ElementTree.Element, tag: str) -> str | None:

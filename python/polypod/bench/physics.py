@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from polypod import _core
+from polypod.arrays import Array
 from polypod.bench.sampling import Sample
 from polypod.extras import package
 from polypod.mujoco_model import robot as robots
@@ -37,7 +38,7 @@ DRAWS = 32
 """Targets that follow each other; then they begin again."""
 
 
-def _targets(robot: robots.Robot, num_envs: int, seed: int) -> Iterator[robots.Array]:
+def _targets(robot: robots.Robot, num_envs: int, seed: int) -> Iterator[Array]:
     spread = np.random.default_rng(seed).uniform(-SPREAD, SPREAD, (DRAWS, num_envs, robot.num_joints))
     return itertools.cycle(robot.default_position + spread)
 
@@ -139,7 +140,7 @@ def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Refer
     return mj, robot, reference, _actuator_order(reference.model, robot.joint_names)
 
 
-def _settled(sample: Sample, state: robots.Array, name: str) -> Sample:
+def _settled(sample: Sample, state: Array, name: str) -> Sample:
     """The sample after `SETTLE` calls.
 
     Raises ConfigError where MuJoCo's state is not finite then.

@@ -1,12 +1,11 @@
 """Evaluation of the checkpoints of trainings."""
 
 import dataclasses
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from polypod import _core, bundled, descriptions
+from polypod import _core, bundled, descriptions, text
 from polypod.evaluation import gate
 from polypod.evaluation.gate import Gate
 from polypod.evaluation.results import Evaluation
@@ -81,29 +80,19 @@ def evaluate_checkpoints(checkpoints: Sequence[Path], **arguments: Any) -> list[
 def command(evaluation: Evaluation) -> str:
     """The command line that measures the same again."""
     origin = evaluation.checkpoint or {}
-    options: dict[str, str | None] = {
+    given = {
         "--checkpoint": origin.get("file", "FILE"),
         "--task": None if _is_in_own_task(evaluation) else evaluation.task,
-        "--robots": None if origin.get("robots") == list(evaluation.robots) else ",".join(evaluation.robots),
-        "--num-envs": str(evaluation.num_envs),
-        "--episodes": str(evaluation.episodes) if evaluation.episodes > 1 else None,
-        "--steps": str(evaluation.steps) if evaluation.steps is not None else None,
-        "--seed": str(evaluation.seed),
+        "--robots": None if origin.get("robots") == list(evaluation.robots) else list(evaluation.robots),
+        "--num-envs": evaluation.num_envs,
+        "--episodes": evaluation.episodes if evaluation.episodes > 1 else None,
+        "--steps": evaluation.steps,
+        "--seed": evaluation.seed,
+        "--commands": "task" if evaluation.commands == "task" else None,
+        "--grid": evaluation.grid and tuple(evaluation.grid),
+        "--randomized": evaluation.randomized,
     }
-    words = [
-        "polypod",
-        "eval",
-        *(word for name, value in options.items() if value is not None for word in (name, value)),
-    ]
-    if evaluation.commands == "task":
-        words += ["--commands", "task"]
-    if evaluation.grid is not None:
-        words += ["--grid", *map(str, evaluation.grid)]
-    if evaluation.randomized:
-        words.append("--randomized")
-    for change in evaluation.overrides:
-        words += ["--set", change]
-    return shlex.join(words)
+    return text.command_line(("polypod", "eval"), given, {"--set": evaluation.overrides})
 
 
 def _is_in_own_task(evaluation: Evaluation) -> bool:

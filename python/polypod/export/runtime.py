@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from rsl_rl.models import MLPModel
 
 from polypod import _core
 from polypod.arrays import Floats
+from polypod.export import onnx_graph
+from polypod.export.robot import RobotInterface
 from polypod.files import read_bytes
-from polypod.networks.onnx_network import output_of
+from polypod.networks.onnx_network import OnnxNetwork, output_of
 from polypod.networks.onnx_session import OnnxSession
 from polypod.runs.manifest import export_sums
 
@@ -46,6 +49,11 @@ class OnnxPolicy:
         }
         """Names and sizes of the others."""
         self._memory: dict[str, Floats] = {}
+
+    @classmethod
+    def of(cls, network: MLPModel | OnnxNetwork, interface: RobotInterface) -> "OnnxPolicy":
+        """The policy of one robot as it is exported, from its sensors to its targets."""
+        return cls(onnx_graph.robot_model(network, interface, {}).SerializeToString())
 
     def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Floats]:
         """Runs the graph on float32 [batch, size] per input.

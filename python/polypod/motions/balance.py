@@ -11,7 +11,6 @@ import numpy as np
 
 from polypod import rotations
 from polypod.arrays import Array
-from polypod.motions import turns
 from polypod.motions.body import Body
 from polypod.motions.motion import Motion, velocities
 
@@ -35,10 +34,10 @@ def zero_moment_points(body: Body, motion: Motion) -> Array:
     linear, angular, joints = velocities(motion)
     speeds = np.zeros((len(qpos), 6 + len(body.joints)))
     speeds[:, :3] = linear
-    speeds[:, 3:6] = turns.rotated(rotations.inverse(qpos[:, 3:7]), angular)
+    speeds[:, 3:6] = rotations.rotated(rotations.inverse(qpos[:, 3:7]), angular)
     speeds[:, [6 + body.joints.index(name) for name in motion.joint_names]] = joints
     effort = body.effort(qpos, speeds, np.asarray(np.gradient(speeds, 1.0 / motion.fps, axis=0)))
-    force, moment = effort[:, :3], turns.rotated(qpos[:, 3:7], effort[:, 3:6])
+    force, moment = effort[:, :3], rotations.rotated(qpos[:, 3:7], effort[:, 3:6])
     moment = moment + np.cross(qpos[:, :3], force)
     weight = float(np.median(force[:, 2]))
     safe = np.where(force[:, 2] > LEAST_LOAD * weight, force[:, 2], np.nan)

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from polypod import _core, descriptions, rotations
 from polypod.arrays import Array
-from polypod.motions import turns
 from polypod.motions.motion import Motion
 
 SIDES = ("L", "R")
@@ -167,7 +166,7 @@ class Body:
             pos, quat = sim.link_pose()
             moved = 0.0
             for side in range(2):
-                turn = turns.vector(rotations.product(orientation[:, side], rotations.inverse(quat[:, at[side]])))
+                turn = rotations.vector(rotations.product(orientation[:, side], rotations.inverse(quat[:, at[side]])))
                 error = np.concatenate([position[:, side] - pos[:, at[side]], turn], axis=1) * weights
                 columns = [6 + joint for joint in legs[side]]
                 jacobian = sim.jacobian(self.links[at[side]])[:, :, columns] * weights[:, np.newaxis]
@@ -221,7 +220,7 @@ def _body_of(robot: str) -> Body:
     kinematics.set_state(qpos=np.stack([rest, straight]))
     pos, quat = kinematics.link_pose()
     # soles are flat with straight legs, unless the legs are folded at zero
-    is_flat = bool((turns.angle(quat[0, feet], quat[1, feet]) < FLAT).all())
+    is_flat = bool((rotations.angle(quat[0, feet], quat[1, feet]) < FLAT).all())
     soles = quat[1, feet] if is_flat else quat[0, feet]
     key = _key_links(slots, of_slot, links)
     body = Body(

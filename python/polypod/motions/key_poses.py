@@ -15,7 +15,7 @@ from polypod import _core, rotations
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.files import read_bytes
-from polypod.motions import balance, turns
+from polypod.motions import balance
 from polypod.motions.body import SIDES, Body
 from polypod.motions.motion import Motion
 
@@ -196,8 +196,8 @@ def draw(name: str, body: Body) -> Motion:
         own, flight = _jump(jump, leg, times)
         up, air = up + own, air + flight
     position = np.stack([base["forward"] * leg, base["left"] * leg, body.height + up], axis=1)
-    position += turns.rotated(turns.of_yaw(np.radians(base["yaw"])), np.array([body.lean, 0.0, 0.0]))
-    quat = turns.of_rpy(*(np.radians(base[key]) for key in ("roll", "pitch", "yaw")))
+    position += rotations.rotated(rotations.of_yaw(np.radians(base["yaw"])), np.array([body.lean, 0.0, 0.0]))
+    quat = rotations.of_angles(*(np.radians(base[key]) for key in ("roll", "pitch", "yaw")))
     slots = np.tile(body.by_slot(body.default), (len(times), 1))
     lost: list[str] = []
     for pattern, track in _joints(drawing.pose).items():
@@ -277,7 +277,7 @@ def clip_notes(body: Body, wanted: Array, clipped: Array) -> list[str]:
 
 
 def _turned(yaw: Array, sole: Array) -> Array:
-    return rotations.product(turns.of_yaw(yaw), np.broadcast_to(sole, (len(yaw), 4)))
+    return rotations.product(rotations.of_yaw(yaw), np.broadcast_to(sole, (len(yaw), 4)))
 
 
 def _track(poses: Sequence[Pose], key: str) -> _Track:
@@ -310,7 +310,7 @@ def _feet(steps: Sequence[Step], body: Body, times: Array) -> tuple[Array, Array
             share = np.clip((times - step.start) / step.duration, 0.0, 1.0)
             gone = _smooth(np.clip((share - LIFTING) / (1.0 - 2.0 * LIFTING), 0.0, 1.0))
             end = math.radians(step.yaw)
-            place = turns.rotated(turns.of_yaw(np.array(end)), body.feet[side])
+            place = rotations.rotated(rotations.of_yaw(np.array(end)), body.feet[side])
             to = place + body.leg * np.array([step.forward, step.left, 0.0])
             later = share > 0.0
             position[later, side] = at + gone[later, np.newaxis] * (to - at)

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from polypod import _core, rotations
 from polypod.arrays import Array
 from polypod.files import read_bytes, write_bytes
-from polypod.motions import turns
 
 MAX_BYTES = 256 << 20
 """Largest size of a file of a motion, bytes."""
@@ -76,7 +75,7 @@ class Motion:
             mixed: Array = values[before] * (1.0 - share) + values[after] * share
             return mixed
 
-        quat = turns.between(self.base_quat[before], self.base_quat[after], share[:, 0])
+        quat = rotations.between(self.base_quat[before], self.base_quat[after], share[:, 0])
         return replace(
             self,
             fps=fps,
@@ -269,7 +268,7 @@ def _checked(path: Path, arrays: dict[str, npt.NDArray[Any]]) -> Motion:
         joint_names=tuple(joints),
         joint_pos=arrays["joint_pos"].astype(np.float64),
         base_pos=arrays["base_pos"].astype(np.float64),
-        base_quat=turns.continuous(turns.unit(arrays["base_quat"].astype(np.float64))),
+        base_quat=rotations.continuous(rotations.unit(arrays["base_quat"].astype(np.float64))),
         link_names=tuple(str(name) for name in arrays["link_names"].reshape(-1)) if links else (),
         link_pos=arrays["link_pos"].astype(np.float64) if links and "link_pos" in arrays else None,
     )
@@ -295,5 +294,5 @@ def velocities(motion: Motion) -> tuple[Array, Array, Array]:
     before = np.maximum(np.arange(motion.frames) - 1, 0)
     after = np.minimum(np.arange(motion.frames) + 1, motion.frames - 1)
     turn = rotations.product(motion.base_quat[after], rotations.inverse(motion.base_quat[before]))
-    angular = turns.vector(turn) * (motion.fps / (after - before))[:, np.newaxis]
+    angular = rotations.vector(turn) * (motion.fps / (after - before))[:, np.newaxis]
     return linear, angular, joints

@@ -9,7 +9,6 @@ import numpy.typing as npt
 
 from polypod import _core, rotations
 from polypod.arrays import Array
-from polypod.motions import turns
 from polypod.motions.body import Body
 from polypod.motions.motion import Motion, velocities
 
@@ -63,7 +62,7 @@ class Reference:
         for clip, (_, _, joints), end, count in zip(clips, moving, last, counts, strict=True):
             columns = [body.joints.index(name) for name in clip.joint_names]
             speeds[end - count + 1 : end + 1, columns] = joints
-        angular = turns.rotated(rotations.inverse(qpos[:, 3:7]), base[1])
+        angular = rotations.rotated(rotations.inverse(qpos[:, 3:7]), base[1])
         pos, quat, lin, ang = body.moving(qpos, np.concatenate([base[0], angular, speeds], axis=1))
         keys = np.array([body.links.index(link) for link in body.key_links])
         ends = {body.foot(0), body.foot(1), *body.hands}
@@ -143,10 +142,10 @@ def errors(reference: Reference, frame: Ids, pos: Floats, quat: Floats, lin: Flo
         half_cos * z + half_sin * w,
     )
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), base.shape)
-    ref_down, own_down = (turns.rotated(rotations.inverse(q), down)[:, 2] for q in (ref_turn, turn))
+    ref_down, own_down = (rotations.rotated(rotations.inverse(q), down)[:, 2] for q in (ref_turn, turn))
     return Errors(
         anchor_pos=ref_base - base,
-        anchor_ori=turns.angle(ref_turn, turn),
+        anchor_ori=rotations.angle(ref_turn, turn),
         heading=heading,
         gravity=np.abs(ref_down - own_down),
         link_pos=link_pos,

@@ -6,7 +6,6 @@ import numpy as np
 
 from polypod import rotations
 from polypod.arrays import Array
-from polypod.motions import turns
 from polypod.motions.body import SIDES, Body
 from polypod.motions.key_poses import clip_notes
 from polypod.motions.motion import Motion
@@ -42,14 +41,14 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
     base = scale * motion.base_pos
     base[:, 2] = target.height + scale * (motion.base_pos[:, 2] - source.height)
     lean = np.broadcast_to([target.lean - scale * source.lean, 0.0, 0.0], base.shape)
-    base += turns.rotated(turns.yaw(motion.base_quat), lean)
+    base += rotations.rotated(rotations.yaw(motion.base_quat), lean)
     position, orientation = source.kinematics(qpos)
     at = [source.links.index(source.foot(side)) for side in range(2)]
     places, soles = [], []
     for side in range(2):
         turn = rotations.product(orientation[:, at[side]], rotations.inverse(source.soles[side]))
         offset = np.broadcast_to(target.feet[side] - scale * source.feet[side], (motion.frames, 3))
-        places.append(scale * position[:, at[side]] + turns.rotated(turns.yaw(turn), offset))
+        places.append(scale * position[:, at[side]] + rotations.rotated(rotations.yaw(turn), offset))
         soles.append(rotations.product(turn, np.broadcast_to(target.soles[side], turn.shape)))
     start = np.concatenate([base, motion.base_quat, clipped], axis=1)
     moved, missed = target.with_feet(start, np.stack(places, axis=1), np.stack(soles, axis=1))
@@ -65,7 +64,7 @@ def retarget(motion: Motion, source: Body, target: Body) -> Motion:
         joint_names=target.joints,
         joint_pos=moved[:, 7:],
         base_pos=moved[:, :3],
-        base_quat=turns.unit(moved[:, 3:7]),
+        base_quat=rotations.unit(moved[:, 3:7]),
         link_pos=None,
         notes=(*motion.notes, *lost),
     )

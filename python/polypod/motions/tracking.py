@@ -15,7 +15,7 @@ import numpy.typing as npt
 from polypod import _core, rotations
 from polypod.arrays import Array
 from polypod.compat import tomllib
-from polypod.motions import library, sampling, turns
+from polypod.motions import library, sampling
 from polypod.motions.body import body_of
 from polypod.motions.names import COMMAND, observes_motions, split
 from polypod.motions.options import Options, RewardOptions, options, parse
@@ -136,7 +136,7 @@ class Tracker:
         pos = np.zeros((env.num_envs, 3))
         for reference, rows in zip(self.references, self.rows, strict=True):
             pos[rows] = reference.base_pos[env.memory["motion_frame"][rows, 0]]
-        return turns.rotated(rotations.inverse(base_quat), pos - base_pos)
+        return rotations.rotated(rotations.inverse(base_quat), pos - base_pos)
 
     def anchor_ori(self, env: Any, base_quat: Array) -> Array:
         """[num_envs, 4], orientation of the reference's base in base axes."""
@@ -223,10 +223,10 @@ class Tracker:
             frame = env.memory["motion_frame"][mine, 0]
             noise = np.where(env.memory["motion_noise"][mine, 0] > 0, 1.0, self.options.reset.play_noise)
             moved, turned, pushed, spun, bent = self._noise(env, mine, noise, len(columns))
-            quat = turns.unit(rotations.product(turned, reference.base_quat[frame]))
+            quat = rotations.unit(rotations.product(turned, reference.base_quat[frame]))
             back = rotations.inverse(quat)
-            angular = turns.rotated(back, reference.base_ang_vel[frame] + spun)
-            linear = turns.rotated(back, reference.base_lin_vel[frame] + pushed) + np.cross(angular, com)
+            angular = rotations.rotated(back, reference.base_ang_vel[frame] + spun)
+            linear = rotations.rotated(back, reference.base_lin_vel[frame] + pushed) + np.cross(angular, com)
             joints, speeds = np.zeros((mine.size, env.sim.num_actions)), np.zeros((mine.size, env.sim.num_actions))
             body = reference.body
             limits = np.stack([body.by_slot(body.lower), body.by_slot(body.upper)])
@@ -272,7 +272,7 @@ class Tracker:
         bent = noise[:, np.newaxis] * (low + 0.5 * (drawn[:, 12:] + 1.0) * (high - low))
         return (
             np.stack(poses[:3], axis=1),
-            turns.of_rpy(*poses[3:]),
+            rotations.of_angles(*poses[3:]),
             np.stack(speeds[:3], axis=1),
             np.stack(speeds[3:], axis=1),
             bent,

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod.mujoco_model.robot import Actuators, Array
+from polypod.arrays import Array
+from polypod.mujoco_model.robot import Actuators
 
 SPARE_SPEED = 20.0
 """Speed that a joint may gain in a step without passing its position limit unnoticed, rad/s or

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from polypod.add import compiling, kept, mjcf, surfaces, urdf
-from polypod.add.description import Array, Description
+from polypod.add.description import Description
+from polypod.arrays import Array
 from polypod.robot_files import urdf_file
 
 

@@ -46,10 +46,11 @@ import numpy.typing as npt
 from polypod import _core
 from polypod._core import ConfigError
 from polypod.add import inertias
+from polypod.arrays import Array
 from polypod.extras import package
 from polypod.mujoco_model.limits import Limits
 from polypod.mujoco_model.origin import Origin
-from polypod.mujoco_model.robot import Actuators, Array, Robot, Surface
+from polypod.mujoco_model.robot import Actuators, Robot, Surface
 
 Integrator = Literal["implicitfast", "RK4"]
 

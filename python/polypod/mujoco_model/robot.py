@@ -15,10 +15,9 @@ import numpy.typing as npt
 
 from polypod import _core
 from polypod.add.root import rooted
+from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.mujoco_model.origin import Origin, origin_of
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

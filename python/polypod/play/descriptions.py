@@ -19,7 +19,7 @@ from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.extras import package
 from polypod.play.looks import Model
-from polypod.rotations import matrix
+from polypod.rotations import matrix, matrix_of_angles
 
 TOLERANCE = 0.02
 """Links of a description may be so far from the robot's, m; joints at zero."""
@@ -186,15 +186,8 @@ def _origin(element: ElementTree.Element) -> Array:
     if origin is None:
         return np.eye(4)
     roll, pitch, yaw = (float(value) for value in origin.get("rpy", "0 0 0").split())
-    (cr, sr), (cp, sp), (cy, sy) = ((np.cos(angle), np.sin(angle)) for angle in (roll, pitch, yaw))
-    turn = np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-    return _matrix(np.array([float(value) for value in origin.get("xyz", "0 0 0").split()]), turn)
+    place = np.array([float(value) for value in origin.get("xyz", "0 0 0").split()])
+    return _matrix(place, matrix_of_angles(roll, pitch, yaw))
 
 
 def _matrix(place: Array, turn: Array) -> Array:

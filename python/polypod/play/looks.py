@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from polypod.arrays import Array
 from polypod.render import mesh
 from polypod.render.mesh import Mesh
 from polypod.render.raster import Color
@@ -111,8 +109,7 @@ def rounded_box(size: Sequence[float]) -> Mesh:
     # a grid on each side, dense where it bends, is drawn to the round surface
     bend = radius * np.tan(np.linspace(0.0, 0.25 * np.pi, STEPS + 1))
     lines = [np.concatenate([-(reach + bend[::-1]), reach + bend]) for reach in inner]
-    corners, faces = [], []
-    count = 0
+    sides = []
     for axis in range(3):
         u, v = (axis + 1) % 3, (axis + 2) % 3
         for sign in (-1.0, 1.0):
@@ -122,49 +119,28 @@ def rounded_box(size: Sequence[float]) -> Mesh:
             core = np.clip(grid, -inner, inner)
             outward = grid - core
             points = core + radius * outward / np.linalg.norm(outward, axis=2, keepdims=True)
-            quads = _quads(*points.shape[:2]) + count
-            corners.append(points.reshape(-1, 3))
+            side = mesh.grid_of(points)
             # counter-clockwise from outside on either side
-            faces.append(quads if sign > 0.0 else quads[:, ::-1])
-            count += points.shape[0] * points.shape[1]
-    return _welded(np.concatenate(corners), np.concatenate(faces))
+            sides.append(side if sign > 0.0 else Mesh(side.vertices, side.faces[:, ::-1]))
+    return _welded(mesh.joined(sides))
 
 
 def _arc(radius: float, height: float, start: float, stop: float) -> list[tuple[float, float]]:
-    """Points (height, distance from the axis) of a meridian between two latitudes, degrees."""
-    angles = np.radians(np.linspace(start, stop, max(2, round(SIDES * (stop - start) / 360.0)) + 1))
-    return [(height + radius * float(np.sin(a)), radius * max(0.0, float(np.cos(a)))) for a in angles]
+    return mesh.arc(radius, height, start, stop, SIDES)
 
 
 def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
-    """The solid of revolution of a profile (height, distance), from bottom to top, about z."""
-    angles = np.linspace(0.0, 2.0 * np.pi, SIDES + 1)
-    heights, radii = np.array(profile).T
-    grid = np.stack(
-        [
-            np.cos(angles)[:, None] * radii,
-            np.sin(angles)[:, None] * radii,
-            np.broadcast_to(heights, (SIDES + 1, len(heights))),
-        ],
-        axis=-1,
-    )
-    return _welded(grid.reshape(-1, 3), _quads(*grid.shape[:2]))
+    return _welded(mesh.revolved(profile, SIDES))
 
 
-def _quads(rows: int, columns: int) -> npt.NDArray[np.intp]:
-    """[n, 4], of a grid of points."""
-    index = np.arange(rows * columns).reshape(rows, columns)
-    corners = (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:])
-    return np.stack([corner.ravel() for corner in corners], axis=1)
-
-
-def _welded(points: Array, faces: npt.NDArray[np.intp]) -> Mesh:
+def _welded(solid: Mesh) -> Mesh:
     """The mesh with each corner once, so that light varies smoothly.
 
     A face without area is left out.
     """
+    points = solid.vertices
     _, first, place = np.unique(np.round(points, 7), axis=0, return_index=True, return_inverse=True)
-    faces = place.reshape(-1)[faces]
+    faces = place.reshape(-1)[solid.faces]
     triangles = np.concatenate([faces[:, [0, 1, 2, 2]], faces[:, [0, 2, 3, 3]]])
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return Mesh(points[first], triangles[(a != b) & (b != c) & (c != a)])

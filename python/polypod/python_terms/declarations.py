@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -463,12 +463,6 @@ def declared_by(values: Iterable[Any]) -> Iterator["Declared | Memory | tuple[st
             yield value.name, value.reward
         elif isinstance(value, Declared | Memory):
             yield value
-
-
-def with_function(term: D, function: Function, hooks: dict[str, Function] | None = None) -> D:
-    """The term with another function and other hooks."""
-    more: dict[str, Any] = {} if hooks is None else {"hooks": hooks}
-    return replace(term, function=function, **more)
 
 
 def _name(function: Function, name: str | None) -> str:

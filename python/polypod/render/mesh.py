@@ -68,16 +68,15 @@ def shape(description: Mapping[str, Any]) -> Mesh:
     """
     match description["shape"]:
         case "sphere":
-            return _turned(_arc(description["radius"], -90.0, 90.0))
+            return revolved(arc(description["radius"], 0.0, -90.0, 90.0))
         case "box":
             return box(description["size"])
         case "cylinder":
             half, radius = 0.5 * description["length"], description["radius"]
-            return _turned([(-half, 0.0), (-half, radius), (half, radius), (half, 0.0)])
+            return revolved([(-half, 0.0), (-half, radius), (half, radius), (half, 0.0)])
         case "capsule":
             half, radius = 0.5 * description["length"], description["radius"]
-            lower = [(a - half, r) for a, r in _arc(radius, -90.0, 0.0)]
-            return _turned([*lower, *((a + half, r) for a, r in _arc(radius, 0.0, 90.0))])
+            return revolved([*arc(radius, -half, -90.0, 0.0), *arc(radius, half, 0.0, 90.0)])
         case "hull":
             faces = np.array(description["triangles"], dtype=np.intp).reshape(-1, 3)
             return Mesh(np.array(description["points"], dtype=np.float64), faces[:, [0, 1, 2, 2]])
@@ -120,7 +119,7 @@ def floor(openings: Sequence[Array], half: float) -> Mesh:
         cuts.append(np.unique(np.clip([-half, half, *edges], -half, half)))
     grid = np.zeros((len(cuts[0]), len(cuts[1]), 3))
     grid[..., 0], grid[..., 1] = cuts[0][:, None], cuts[1][None, :]
-    plane = _grid(grid)
+    plane = grid_of(grid)
     middles = plane.vertices[plane.faces][..., :2].mean(axis=1)
     is_open = np.zeros(len(middles), dtype=np.bool_)
     for outline in openings:
@@ -144,7 +143,7 @@ def box(size: Sequence[float]) -> Mesh:
             b = np.linspace(-half[across], half[across], counts[1] + 1)
             grid = np.zeros((len(a), len(b), 3))
             grid[..., axis], grid[..., along], grid[..., across] = sign * half[axis], a[:, None], b[None, :]
-            meshes.append(_grid(grid))
+            meshes.append(grid_of(grid))
     return joined(meshes)
 
 
@@ -161,25 +160,33 @@ def _surface(size: Sequence[float], heights: Sequence[Sequence[float]]) -> Mesh:
     grid[..., 0] = np.linspace(-0.5 * size[0], 0.5 * size[0], table.shape[0])[:, None]
     grid[..., 1] = np.linspace(-0.5 * size[1], 0.5 * size[1], table.shape[1])[None, :]
     grid[..., 2] = table
-    return _grid(grid)
+    return grid_of(grid)
 
 
-def _arc(radius: float, start: float, stop: float) -> list[tuple[float, float]]:
-    """Points (height, distance from the axis) of a meridian between two latitudes, degrees."""
-    count = max(2, round(ROUND * (stop - start) / 360.0)) + 1
+def arc(radius: float, height: float, start: float, stop: float, sides: int = ROUND) -> list[tuple[float, float]]:
+    """Points (height, distance from the axis) of a meridian between two latitudes, degrees.
+
+    Args:
+        radius: of the ball, m.
+        height: of its middle, m.
+        start: latitude of the first point.
+        stop: latitude of the last one.
+        sides: corners of a whole circle.
+    """
+    count = max(2, round(sides * (stop - start) / 360.0)) + 1
     angles = np.radians(np.linspace(start, stop, count))
-    return [(radius * float(np.sin(a)), radius * max(0.0, float(np.cos(a)))) for a in angles]
+    return [(height + radius * float(np.sin(a)), radius * max(0.0, float(np.cos(a)))) for a in angles]
 
 
-def _turned(profile: Sequence[tuple[float, float]]) -> Mesh:
+def revolved(profile: Sequence[tuple[float, float]], sides: int = ROUND) -> Mesh:
     """The solid of revolution of a profile (height, distance), from bottom to top, about z."""
-    angles = np.linspace(0.0, 2.0 * np.pi, ROUND + 1)
+    angles = np.linspace(0.0, 2.0 * np.pi, sides + 1)
     heights, radii = np.array(profile).T
-    grid = np.zeros((ROUND + 1, len(profile), 3))
+    grid = np.zeros((sides + 1, len(profile), 3))
     grid[..., 0] = np.cos(angles)[:, None] * radii
     grid[..., 1] = np.sin(angles)[:, None] * radii
     grid[..., 2] = heights
-    return _grid(grid)
+    return grid_of(grid)
 
 
 def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
@@ -203,7 +210,7 @@ def _cut_up(vertices: Array, triangles: npt.NDArray[np.intp]) -> Mesh:
     return joined(parts)
 
 
-def _grid(points: Array) -> Mesh:
+def grid_of(points: Array) -> Mesh:
     """Quadrilaterals between points [n, m, 3]."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)

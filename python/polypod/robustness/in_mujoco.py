@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from polypod.arrays import Floats
 from polypod.evaluation.walking import Record, Schedule
-from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.mujoco_model import robot as model_robot
@@ -160,7 +159,7 @@ class Mujoco:
         return PolicyPerEnv([self._folded(_misdescribed(interface, row)) for row in factors])
 
     def _folded(self, interface: RobotInterface) -> OnnxPolicy:
-        return OnnxPolicy(onnx_graph.robot_model(self._network, interface, {}).SerializeToString())
+        return OnnxPolicy.of(self._network, interface)
 
 
 def _misdescribed(interface: RobotInterface, factors: Floats) -> RobotInterface:

@@ -2,12 +2,12 @@
 
 import dataclasses
 import os
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
+from typing import Any
 
-from polypod import _core, bundled, runs
+from polypod import _core, bundled, runs, text
 from polypod.policy import LoadedPolicy, load
 from polypod.provenance import measured
 from polypod.robustness import in_polypod
@@ -219,12 +219,12 @@ def _as_they_end(futures: Iterable[Future[Cell]]) -> Iterator[Future[Cell]]:
 
 
 def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
-    given: dict[str, str | int | None] = {
+    given: dict[str, Any] = {
         "--checkpoint": bundled.shown(runs.resolve(checkpoint)),
-        "--robots": None if robots is None else ",".join(robots),
-        "--conditions": None if options.conditions is None else ",".join(options.conditions),
-        "--simulators": ",".join(options.simulators),
-        "--condims": None if options.condims is None else ",".join(map(str, options.condims)),
+        "--robots": None if robots is None else list(robots),
+        "--conditions": None if options.conditions is None else list(options.conditions),
+        "--simulators": list(options.simulators),
+        "--condims": None if options.condims is None else list(options.condims),
         "--num-envs": options.num_envs,
         "--mujoco-envs": options.mujoco_envs,
         "--steps": options.steps,
@@ -233,8 +233,5 @@ def _command(checkpoint: Path, robots: Sequence[str] | None, options: Options) -
     if options.model is not None:
         choices = options.model.choices
         given |= {"--model": str(options.model.file), "--actuators": choices.actuators, "--contact": choices.contact}
-        given["--map"] = None if options.model.map is None else str(options.model.map)
-    words = ["polypod", "robustness"]
-    words += [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
-    words += [word for change in options.overrides for word in ("--set", change)]
-    return shlex.join(words)
+        given["--map"] = options.model.map
+    return text.command_line(("polypod", "robustness"), given, {"--set": options.overrides})

@@ -5,18 +5,16 @@ import functools
 import hashlib
 import json
 import re
-import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from polypod import _core, rotations
+from polypod import _core, rotations, text
 from polypod.arrays import Array
 from polypod.evaluation import Policy, walking
 from polypod.evaluation.results import finite
-from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.files import read_bytes
@@ -138,8 +136,7 @@ class ModelComparison:
     @property
     def why_not(self) -> list[str]:
         """Clauses of the definition of walking that the robot misses on the model, with numbers."""
-        found = self.on_model.figures.walking
-        return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
+        return self.on_model.figures.why_not(self.is_whole)
 
     @property
     def transfers(self) -> bool:
@@ -347,7 +344,7 @@ class Stage:
 
     def policy(self) -> OnnxPolicy:
         """The exported policy, which remembers nothing yet."""
-        return OnnxPolicy(onnx_graph.robot_model(self._network, self.interface, {}).SerializeToString())
+        return OnnxPolicy.of(self._network, self.interface)
 
     def twin_of(self, policy: FoldedPolicy | None = None) -> Twin:
         """Polypod's robot in MuJoCo, before its first reset."""
@@ -463,10 +460,5 @@ def _command(model: Path, checkpoint: Path, robot: str, options: Options) -> str
     ):
         value = getattr(options, key)
         given[flag] = None if value == getattr(usual, key) else value
-    words = ["polypod", "sim2sim"]
-    words += [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
-    words += ["--seed", str(options.seed)]
-    if not options.differences:
-        words.append("--no-differences")
-    words += [word for change in options.overrides for word in ("--set", change)]
-    return shlex.join(words)
+    given |= {"--seed": options.seed, "--no-differences": not options.differences}
+    return text.command_line(("polypod", "sim2sim"), given, {"--set": options.overrides})

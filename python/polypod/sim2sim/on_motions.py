@@ -14,14 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.arrays import Array, Floats
 from polypod.compat import tomllib
 from polypod.evaluation.tracking import ClipResult, Seen, Trial, terms_of
-from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.motions import turns
 from polypod.motions.reference import errors
 from polypod.motions.tracking import COMMAND, DEVIATIONS, Tracker, axes
 from polypod.mujoco_model import robot as model_robot
@@ -88,8 +86,8 @@ def measure_checkpoint(
     trial = Trial(manifest, sources, terms_of(manifest, str(checkpoint), clips), **arguments)
     known = interfaces({**manifest, "overrides": manifest["overrides"]}, sources)
     for source, (name, interface) in zip(sources, known.items(), strict=True):
-        graph = onnx_graph.robot_model(loaded.network, interface, {})
-        policy = _WithReference(OnnxPolicy(graph.SerializeToString()), trial, slice(*trial.sim.env_ids(name)))
+        own = OnnxPolicy.of(loaded.network, interface)
+        policy = _WithReference(own, trial, slice(*trial.sim.env_ids(name)))
         policy.twin = twin = _twin(trial, name, source, interface, policy, options)
         _run(trial, name, twin, policy)
     return trial.results()
@@ -131,7 +129,7 @@ def _run(trial: Trial, name: str, twin: Twin, policy: _WithReference) -> None:
 def _see(trial: Trial, seen: Seen, frames: npt.NDArray[np.int64], qpos: Array, qvel: Array) -> None:
     body = seen.reference.body
     safe = np.where(seen.running[:, np.newaxis], qpos, qpos[:1] * 0.0 + np.eye(qpos.shape[1])[3])
-    safe[:, 3:7] = turns.unit(safe[:, 3:7])
+    safe[:, 3:7] = rotations.unit(safe[:, 3:7])
     links = body.moving(safe, np.where(seen.running[:, np.newaxis], qvel, 0.0))
     found = errors(seen.reference, frames, *(values[:, seen.reference.links] for values in links))
     fell = np.zeros(len(frames), dtype=np.bool_)

@@ -16,7 +16,6 @@ import numpy.typing as npt
 from polypod import _core
 from polypod.evaluation import Policy, rising
 from polypod.evaluation.rising import Goal, Rising
-from polypod.export import onnx_graph
 from polypod.export.robot import interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.mujoco_model import reference
@@ -85,8 +84,7 @@ def compare(
     twins, policies = {}, {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         check_steps(poses.physics, poses.step_dt, name)
-        graph = onnx_graph.robot_model(loaded.network, interface, {})
-        policies[name] = OnnxPolicy(graph.SerializeToString())
+        policies[name] = OnnxPolicy.of(loaded.network, interface)
         twins[name] = twin_of(poses, name, source, interface, policies[name])
     when = measured()
     ours = _in_polypod(poses, loaded.runner(), progress)

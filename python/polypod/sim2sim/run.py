@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import math
-import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, descriptions, rotations
+from polypod import _core, descriptions, rotations, text
 from polypod.arrays import Array
 from polypod.evaluation import Policy, Walking, walking
 from polypod.evaluation.results import succeeds
-from polypod.export import onnx_graph
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
 from polypod.mujoco_model import reference
@@ -59,6 +57,15 @@ class Figures:
     walking: Walking | None = None
     """Figures of the definition of walking; None in files of builds that did not write them."""
 
+    def why_not(self, is_whole: bool) -> list[str]:
+        """Criteria of walking that the robot misses, with numbers; empty if it walks.
+
+        `is_whole`: whether all of the definition of walking is asked.
+        """
+        if self.walking is None:
+            return ["not measured"]
+        return list(walking.faults(self.walking, is_whole).values())
+
 
 @dataclasses.dataclass(frozen=True)
 class RobotComparison:
@@ -72,12 +79,8 @@ class RobotComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if none.
-
-        Empty if it transfers.
-        """
-        found = self.mujoco.walking
-        return ["not measured"] if found is None else list(walking.faults(found, self.is_whole).values())
+        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if it transfers."""
+        return self.mujoco.why_not(self.is_whole)
 
     @property
     def transfers(self) -> bool:
@@ -136,8 +139,7 @@ def compare(
     in_polypod = run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
-        model = onnx_graph.robot_model(network, interface, {})
-        policy = OnnxPolicy(model.SerializeToString())
+        policy = OnnxPolicy.of(network, interface)
         theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(in_polypod[name], theirs, episode.is_whole)
     return Comparison(
@@ -158,7 +160,7 @@ def command_line(checkpoint: Path, robots: Sequence[str] | None, options: Option
     """The command line that compares the same again."""
     given: dict[str, Any] = {
         "--checkpoint": checkpoint,
-        "--robots": ",".join(robots) if robots is not None else None,
+        "--robots": None if robots is None else list(robots),
         "--num-envs": options.envs_per_robot,
         "--steps": options.steps,
         "--commands": options.commands if options.commands != Options.commands else None,
@@ -166,17 +168,11 @@ def command_line(checkpoint: Path, robots: Sequence[str] | None, options: Option
         "--dt": options.dt,
         "--integrator": options.integrator if options.integrator != Options.integrator else None,
         "--friction": options.friction,
+        "--command": options.command and tuple(options.command),
+        "--soft-contact": options.soft_contact,
+        "--terms": options.terms,
     }
-    words = ["polypod", "sim2sim"]
-    words += [word for flag, value in given.items() if value is not None for word in (flag, str(value))]
-    if options.command is not None:
-        words += ["--command", *map(str, options.command)]
-    if options.soft_contact:
-        words.append("--soft-contact")
-    if options.terms is not None:
-        words += ["--terms", str(options.terms)]
-    words += [word for change in options.overrides for word in ("--set", change)]
-    return shlex.join(words)
+    return text.command_line(("polypod", "sim2sim"), given, {"--set": options.overrides})
 
 
 class Episode(Beginning):

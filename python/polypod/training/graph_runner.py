@@ -3,8 +3,6 @@
 Any network without a recurrent state will do.
 """
 
-from typing import Any
-
 import torch
 from tensordict import TensorDict
 
@@ -58,17 +56,10 @@ class GraphRunner(Runner):
         is_learnt = deviations.of(self._distribution) is not None
         return super()._action_std() if is_learnt else self._rollout.deviations_of_actions()
 
-    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        """Writes a checkpoint that rsl_rl's own loop can go on from."""
+    def _give_to_rsl_rl(self) -> None:
         give_moments(self._update_of.optimizer, self.alg.optimizer)
         for group in self.alg.optimizer.param_groups:
             group["lr"] = self.alg.learning_rate
-        super().save(path, infos)
 
-    def load(
-        self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
-    ) -> dict[str, Any]:
-        """Takes over a checkpoint of any learner."""
-        infos = super().load(path, load_cfg, strict, map_location)
+    def _take_from_rsl_rl(self) -> None:
         take_moments(self._update_of.optimizer, self.alg.optimizer)
-        return infos

@@ -36,7 +36,7 @@ class NativeRunner(Runner):
         peers = workers if workers.count > 1 else None
         options = json.dumps(self.config.native_options(sim))
         self._learner = _core.Learner(sim, options, peers, workers.index, workers.count)
-        self._give()
+        self._take_from_rsl_rl()
 
     def _collect(self, observations: TensorDict) -> TensorDict:
         sim = self.env.unwrapped.sim
@@ -73,25 +73,12 @@ class NativeRunner(Runner):
     def _action_std(self) -> torch.Tensor:
         return torch.from_numpy(self._learner.action_std())
 
-    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        """Writes a checkpoint that either learner can go on from."""
-        self._take()
-        super().save(path, infos)
-
-    def load(
-        self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
-    ) -> dict[str, Any]:
-        """Takes over a checkpoint of either learner."""
-        infos = super().load(path, load_cfg, strict, map_location)
-        self._give()
-        return infos
-
     def start_from(self, path: Path) -> None:
         """Takes over a checkpoint's networks and nothing else."""
         super().start_from(path)
-        self._give()
+        self._take_from_rsl_rl()
 
-    def _give(self) -> None:
+    def _take_from_rsl_rl(self) -> None:
         """Hands rsl_rl's networks, optimiser and statistics to the native learner."""
         for name in NETWORKS:
             parameters = self._parameters(name)
@@ -116,8 +103,8 @@ class NativeRunner(Runner):
             self._learner.set_normalizer(name, array_of(mean), array_of(variance), count, index)
 
     @torch.no_grad()
-    def _take(self) -> None:
-        """The reverse of `_give`."""
+    def _give_to_rsl_rl(self) -> None:
+        """The reverse of `_take_from_rsl_rl`."""
         self._take_networks()
         for group in self.alg.optimizer.param_groups:
             group["lr"] = self.alg.learning_rate

@@ -369,6 +369,7 @@ class Runner(OnPolicyRunner):
 
     def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
         """Writes a checkpoint, whole or not at all. All workers call it, and worker 0 writes."""
+        self._give_to_rsl_rl()
         of_workers = self._of_workers()
         if not self.workers.is_first:
             return
@@ -423,6 +424,7 @@ class Runner(OnPolicyRunner):
                 f"{path} does not hold what a resumed training needs ({type(error).__name__}: {_first_line(error)}); "
                 "use another checkpoint, or begin anew with --init"
             ) from error
+        self._take_from_rsl_rl()
         return infos
 
     def _check_moments(self) -> None:
@@ -512,6 +514,12 @@ class Runner(OnPolicyRunner):
         """
         if not self.workers.is_first and self.draws:
             torch.manual_seed(int(np.random.SeedSequence([seed, self.workers.index]).generate_state(1, np.uint64)[0]))
+
+    def _give_to_rsl_rl(self) -> None:
+        """Brings rsl_rl's networks and optimiser up to date, of which checkpoints are made."""
+
+    def _take_from_rsl_rl(self) -> None:
+        """Takes over rsl_rl's networks and optimiser, into which a checkpoint was loaded."""
 
     def start_from(self, path: Path) -> None:
         """Takes over a checkpoint's networks and nothing else.

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import os
-import shlex
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import version
@@ -14,7 +13,7 @@ import numpy as np
 import torch
 
 import polypod
-from polypod import _core, quick_start
+from polypod import _core, quick_start, text
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions import tracking
 from polypod.python_terms import Terms, load
@@ -72,21 +71,13 @@ class Options:
         """The command line of these options."""
         if self.origin is not None:
             return self.origin
-        words = ["polypod", "train"]
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if (
-                field.name in ("run", "origin")
-                or value is None
-                or (field.default is not dataclasses.MISSING and value == field.default)
-            ):
-                continue
-            if field.name == "overrides":
-                words += [word for change in value for word in ("--set", change)]
-            else:
-                text = ",".join(value) if isinstance(value, list) else str(value)
-                words += [f"--{field.name.replace('_', '-')}", text]
-        return shlex.join(words)
+        given = {
+            f"--{field.name.replace('_', '-')}": value
+            for field in dataclasses.fields(self)
+            if field.name not in ("run", "origin", "overrides")
+            and (value := getattr(self, field.name)) != field.default
+        }
+        return text.command_line(("polypod", "train"), given, {"--set": self.overrides})
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,8 +3,6 @@
 In the first epoch the device learns from a control step while the simulator takes the next one.
 """
 
-from typing import Any
-
 import torch
 from rsl_rl.utils import check_nan
 from tensordict import TensorDict
@@ -149,15 +147,8 @@ class TaughtRunner(Runner):
         mask = torch.from_numpy(self.env.unwrapped.sim.action_mask).to(self._deviations.device)
         return self._deviations[mask]
 
-    def save(self, path: str, infos: dict[str, Any] | None = None) -> None:
-        """Writes a checkpoint, with the moments of Adam."""
+    def _give_to_rsl_rl(self) -> None:
         give_moments(self._adam, self.alg.optimizer)
-        super().save(path, infos)
 
-    def load(
-        self, path: str, load_cfg: dict[str, Any] | None = None, strict: bool = True, map_location: str | None = None
-    ) -> dict[str, Any]:
-        """Takes over a checkpoint, with the moments of Adam."""
-        infos = super().load(path, load_cfg, strict, map_location)
+    def _take_from_rsl_rl(self) -> None:
         take_moments(self._adam, self.alg.optimizer)
-        return infos

@@ -16,8 +16,8 @@ import tomllib
 from test_new_robot import quadruped
 
 import polypod
-from polypod import _core
-from polypod.add import add, archive, compiling, description, ellipsoid, judge, mjcf, xacro_child
+from polypod import _core, rotations
+from polypod.add import add, archive, compiling, ellipsoid, judge, mjcf, xacro_child
 from polypod.add.description import urdf
 from polypod.runs import run_dir
 from watched import nothing_started
@@ -750,11 +750,11 @@ def test_angles_survive_writing():
     for _ in range(200):
         turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
         turn *= np.sign(np.linalg.det(turn))
-        roll, pitch, yaw = description.rpy(turn)
+        roll, pitch, yaw = rotations.angles(turn)
         np.testing.assert_allclose(_turn(roll, pitch, yaw), turn, atol=1e-14)
     for pitch in (np.pi / 2, -np.pi / 2):
         turn = _turn(0.3, pitch, -0.8)
-        np.testing.assert_allclose(_turn(*description.rpy(turn)), turn, atol=1e-9)
+        np.testing.assert_allclose(_turn(*rotations.angles(turn)), turn, atol=1e-9)
 
 
 def _turn(roll: float, pitch: float, yaw: float) -> np.ndarray:

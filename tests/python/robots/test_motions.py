@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from polypod import _core
+from polypod import _core, rotations
 from polypod.cli import main
-from polypod.motions import balance, key_poses, library, motion, retarget, turns
+from polypod.motions import balance, key_poses, library, motion, retarget
 from polypod.motions.body import body_of
 from polypod.motions.motion import Motion, velocities
 
@@ -137,7 +137,7 @@ def test_velocities_are_those_of_the_frames():
         joint_names=("a",),
         joint_pos=np.sin(time)[:, np.newaxis],
         base_pos=np.stack([2.0 * time, 0.0 * time, 0.0 * time], axis=1),
-        base_quat=turns.of_yaw(1.5 * time),
+        base_quat=rotations.of_yaw(1.5 * time),
     )
     linear, angular, joints = velocities(turning)
     np.testing.assert_allclose(linear, np.tile([2.0, 0.0, 0.0], (101, 1)), atol=1e-9)
