@@ -15,8 +15,8 @@ def command_line(words: Iterable[str], given: Mapping[str, Any], repeated: Mappi
 
     Args:
         words: program, command and what has no flag.
-        given: values by flag. None and False leave the flag out, True has no value. A list has commas between, and a
-            tuple is several words.
+        given: values by flag. None and False leave the flag out, True has no value. A list has
+            commas between, and a tuple is several words.
         repeated: values of flags that stand before each of their values.
     """
     line = list(words)

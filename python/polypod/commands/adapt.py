@@ -16,9 +16,10 @@ from polypod.commands.arguments import (
     arg,
     check_names,
     locked_joints,
+    options_of,
     package_dirs,
     positive,
-    thread_count,
+    torch_threads,
 )
 
 MAX_NEIGHBOURS = 1000
@@ -71,26 +72,14 @@ class Adapt:
         Returns its exit code: 0 if the robot walks, 3 if it does not within the time.
         """
         self._check()
-        import torch
-
         from polypod import adapt
         from polypod.training.session import NOT_WALKING
 
-        threads = thread_count(self.threads, "--threads")
-        if threads is not None:
-            torch.set_num_threads(threads)
-        options = adapt.Options(
-            robot=self.robot,
+        options = options_of(
+            adapt.Options,
+            self,
             checkpoint=None if self.checkpoint is None else runs.resolve(self.checkpoint, self.log_dir),
-            neighbours=self.neighbours,
-            max_minutes=self.max_minutes,
-            every=self.every,
-            train_config=self.train_config,
-            separate=self.separate,
-            seed=self.seed,
-            log_dir=self.log_dir,
-            device=self.device,
-            threads=threads,
+            threads=torch_threads(self.threads),
             overrides=tuple(self.set),
             package_dirs=package_dirs(self.package_dir),
             locked_joints=locked_joints(self.lock),

@@ -1,10 +1,11 @@
 """Types of arguments that several commands share, with readers of values and writers of figures."""
 
+import dataclasses
 import functools
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, cast
 
 import tyro
 
@@ -24,6 +25,22 @@ PackageDirs = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar=
 Feet = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="LEG=LINK")]
 Roles = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="SLOT=JOINT")]
 Locks = Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], arg(metavar="JOINT=POSITION")]
+
+
+Options = TypeVar("Options")
+
+
+def options_of(kind: type[Options], command: Any, **others: Any) -> Options:
+    """Options of the library that have the values of a command's fields of the same names.
+
+    Args:
+        kind: a dataclass.
+        command: the dataclass of the command line.
+        others: values of fields that have another name, type or default there.
+    """
+    known = {field.name for field in dataclasses.fields(cast(Any, kind))}
+    same = {field.name: getattr(command, field.name) for field in dataclasses.fields(command) if field.name in known}
+    return kind(**{**same, **others})
 
 
 def names(text: str | None) -> list[str] | None:
@@ -55,6 +72,16 @@ def thread_count(value: int | None, flag: str) -> int | None:
     if value is not None and not 1 <= value <= MAX_THREADS:
         raise _core.ConfigError(f"{flag} {value} must be from 1 to {MAX_THREADS}; leave it out for one per core")
     return value
+
+
+def torch_threads(value: int | None) -> int | None:
+    """The value of `--threads`, which torch uses from here on. Raises ConfigError."""
+    threads = thread_count(value, "--threads")
+    import torch
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    return threads
 
 
 def pairs(texts: Sequence[str], flag: str, metavar: str) -> dict[str, str]:

@@ -16,7 +16,7 @@ from polypod.commands.arguments import (
     arg,
     check_names,
     names,
-    thread_count,
+    torch_threads,
     write_json,
 )
 
@@ -77,16 +77,12 @@ class Compare:
         """Runs the command and returns its exit code."""
         robots = names(self.robots)
         check_names(self.task, robots)
-        import torch
-
         from polypod import runs
         from polypod.evaluation.comparison import LEAST_SEEDS, compare_checkpoints
         from polypod.policy import load
         from polypod.progress import Progress
 
-        threads = thread_count(self.threads, "--threads")
-        if threads is not None:
-            torch.set_num_threads(threads)
+        threads = torch_threads(self.threads)
         if len(self.checkpoints) < 2:
             raise _core.ConfigError(f"compare takes two policies or more, not {len(self.checkpoints)}")
         if not LEAST_SEEDS <= self.num_seeds <= MOST_SEEDS:

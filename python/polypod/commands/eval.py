@@ -6,7 +6,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, thread_count, write_json
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    names,
+    torch_threads,
+    write_json,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,15 +69,11 @@ class Eval:
     def run(self) -> int:
         """Runs the command and returns its exit code."""
         check_names(self.task, names(self.robots))
-        import torch
-
         from polypod import runs
         from polypod.evaluation import evaluate_checkpoints, plot, summarize
         from polypod.training.report import Reporter
 
-        threads = thread_count(self.threads, "--threads")
-        if threads is not None:
-            torch.set_num_threads(threads)
+        threads = torch_threads(self.threads)
         if not self.checkpoint:
             raise _core.ConfigError("--checkpoint names no file; pass one model_<n>.pt or more")
         checkpoints = [runs.resolve(checkpoint) for checkpoint in self.checkpoint]

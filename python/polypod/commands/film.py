@@ -6,7 +6,17 @@ from typing import Annotated, Literal
 
 import tyro
 
-from polypod.commands.arguments import Count, Name, Overrides, RobotNames, arg, check_names, names, thread_count
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    RobotNames,
+    arg,
+    check_names,
+    names,
+    options_of,
+    thread_count,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,19 +70,11 @@ class FilmOf:
 
         films.tell(
             self.story,
-            films.Options(
+            options_of(
+                films.Options,
+                self,
                 checkpoint=runs.resolve(self.checkpoint),
-                out=self.out,
                 robots=names(self.robots),
-                command=self.command,
-                task=self.task,
-                seconds=self.seconds,
-                parts=self.parts,
-                push=self.push,
-                warm_up=self.warm_up,
-                fps=self.fps,
-                size=self.size,
-                seed=self.seed,
                 threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
             ),

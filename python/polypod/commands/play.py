@@ -13,6 +13,7 @@ from polypod.commands.arguments import (
     arg,
     check_names,
     names,
+    options_of,
     thread_count,
 )
 
@@ -74,26 +75,14 @@ class Play:
         from polypod.play.report import show
 
         player = session.play(
-            session.Options(
+            options_of(
+                session.Options,
+                self,
                 checkpoint=runs.resolve(self.checkpoint),
                 robots=names(self.robots),
-                command=self.command,
-                task=self.task,
                 envs_per_robot=self.num_envs,
-                seconds=self.seconds,
-                warm_up=self.warm_up,
-                record=self.record,
-                video=self.video,
-                fps=self.fps,
-                size=self.size,
-                headless=self.headless,
-                host=self.host,
-                port=self.port,
-                meshes=self.meshes,
-                seed=self.seed,
                 threads=thread_count(self.threads, "--threads"),
                 overrides=list(self.set),
-                terms=self.terms,
             )
         )
         show(player)

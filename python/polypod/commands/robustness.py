@@ -13,7 +13,8 @@ from polypod.commands.arguments import (
     arg,
     check_names,
     names,
-    thread_count,
+    options_of,
+    torch_threads,
     write_json,
 )
 
@@ -74,26 +75,19 @@ class Robustness:
     def run(self) -> int:
         """Runs the command and returns its exit code: 3 where a bound is missed."""
         check_names(None, names(self.robots))
-        import torch
-
         from polypod import robustness, runs
         from polypod.drawing import pyplot_for
         from polypod.progress import Progress
         from polypod.robustness import picture, report
 
-        threads = thread_count(self.threads, "--threads")
-        if threads is not None:
-            torch.set_num_threads(threads)
         conditions, robots = names(self.conditions), names(self.robots)
-        options = robustness.Options(
+        options = options_of(
+            robustness.Options,
+            self,
             conditions=None if conditions is None else tuple(conditions),
             simulators=tuple(names(self.simulators) or ()),
             condims=self._condims(),
-            num_envs=self.num_envs,
-            mujoco_envs=self.mujoco_envs,
-            steps=self.steps,
-            seed=self.seed,
-            threads=threads,
+            threads=torch_threads(self.threads),
             overrides=self.set,
             model=self._model(),
         )

@@ -7,7 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from polypod import _core
-from polypod.commands.arguments import Count, Overrides, RobotNames, Velocity, arg, check_names, names, write_json
+from polypod.commands.arguments import (
+    Count,
+    Overrides,
+    RobotNames,
+    Velocity,
+    arg,
+    check_names,
+    names,
+    options_of,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from polypod.evaluation.tracking import ClipResult
@@ -149,18 +159,13 @@ class Sim2sim:
         from polypod.sim2sim import Options
 
         usual = Options()
-        return Options(
+        return options_of(
+            Options,
+            self,
             envs_per_robot=usual.envs_per_robot if self.num_envs is None else self.num_envs,
-            steps=self.steps,
-            seed=self.seed,
-            command=self.command,
             commands="task" if self.commands == "task" else "walking",
-            dt=self.dt,
             integrator=self.integrator or usual.integrator,
-            friction=self.friction,
-            soft_contact=self.soft_contact,
             overrides=self.set,
-            terms=self.terms,
         )
 
     def _refuse_commands(self, asks: str) -> None:
@@ -198,20 +203,12 @@ class Sim2sim:
         from polypod.sim2sim import model_report, on_model
 
         usual = on_model.Options()
-        options = on_model.Options(
+        options = options_of(
+            on_model.Options,
+            self,
             episodes=usual.episodes if self.num_envs is None else self.num_envs,
             commands="walking" if self.commands == "walking" else "phases",
             phases=usual.phases if self.phases is None else self.phases,
-            phase_s=self.phase_s,
-            rounds=self.rounds,
-            seed=self.seed,
-            actuators=self.actuators,
-            contact=self.contact,
-            dt=self.dt,
-            integrator=self.integrator,
-            friction=self.friction,
-            map=self.map,
-            differences=self.differences,
             overrides=self.set,
         )
         options.check()

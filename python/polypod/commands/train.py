@@ -5,7 +5,18 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from polypod import _core, runs
-from polypod.commands.arguments import Count, Name, Overrides, Robots, arg, check_names, names, positive, thread_count
+from polypod.commands.arguments import (
+    Count,
+    Name,
+    Overrides,
+    Robots,
+    arg,
+    check_names,
+    names,
+    options_of,
+    positive,
+    thread_count,
+)
 from polypod.motions.names import split
 
 Learner = Literal["auto", "native", "rsl_rl"]
@@ -76,23 +87,12 @@ class Train:
             self._check()
         from polypod.training import session
 
-        options = session.Options(
-            task=self.task,
-            num_envs=self.num_envs,
+        options = options_of(
+            session.Options,
+            self,
             robots=names(self.robots),
-            max_iterations=self.max_iterations,
             until_walks=positive(self.until_walks, "--until-walks"),
-            seed=self.seed,
-            train_config=self.train_config,
-            learner=self.learner,
-            logger=self.logger,
-            log_project=self.log_project,
-            resume=self.resume,
             init=self.init and runs.resolve(self.init, self.log_dir),
-            terms=self.terms,
-            run_name=self.run_name,
-            log_dir=self.log_dir,
-            device=self.device,
             threads=thread_count(self.threads, "--threads"),
             overrides=list(self.set),
         )

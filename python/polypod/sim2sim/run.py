@@ -79,7 +79,7 @@ class RobotComparison:
 
     @property
     def why_not(self) -> list[str]:
-        """Criteria of walking that the robot misses in MuJoCo, with numbers; empty if it transfers."""
+        """Criteria of walking that the robot misses in MuJoCo, with numbers."""
         return self.mujoco.why_not(self.is_whole)
 
     @property
