@@ -18,9 +18,8 @@ HEAD = """# Gallery of configs
 
 `configs/` has these tasks and train configs. `polypod list` prints their names, `polypod train
 --train-config NAME` trains a config, `--task ALIAS` another task. A task of your own begins with
-`extends = "ALIAS"` ([write-a-term.md](write-a-term.md)). Robots are in
-[added-robots.md](added-robots.md) and `polypod list robots`. `python tools/gallery.py` writes this
-page.
+`extends = "ALIAS"` ([write-a-term.md](write-a-term.md)). `polypod list robots` has the robots.
+`python tools/gallery.py` writes this page.
 """
 
 

@@ -42,7 +42,7 @@ LEAST_DEVIATION = 0.1
 """Deviation of a feature that counts, at least, so that numbers which all training bodies share can
 be compared."""
 LOG_FLOOR = 0.01
-"""Least magnitude that a logarithm tells from zero, as in a network of joints."""
+"""Least magnitude that a logarithm tells from zero, here and in networks of joints."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,6 +17,7 @@ from rsl_rl.models import MLPModel, RNNModel
 from rsl_rl.modules import EmpiricalNormalization
 
 from polypod import _core
+from polypod.descriptions import LOG_FLOOR
 from polypod.export import sources, states
 from polypod.export.robot import INPUTS, OUTPUTS, RobotInterface
 from polypod.export.states import HISTORY, Shape
@@ -24,7 +25,7 @@ from polypod.extras import package
 from polypod.networks import JointNetwork
 from polypod.networks.clipped import limit_of
 from polypod.networks.onnx_network import OnnxNetwork, output_of
-from polypod.networks.urma import KEY_SCALE, LOG_FLOOR, OUTSIDE, REFLEX_SCALE, RELATIVE_FLOOR
+from polypod.networks.urma import KEY_SCALE, OUTSIDE, REFLEX_SCALE, RELATIVE_FLOOR
 from polypod.observation import Term, Treatment
 
 OPSET = 17

@@ -161,7 +161,7 @@ def load(source: str) -> Robot:
     robot = dataclasses.replace(robot, origin=origin_of(source, robot.urdf_file, base))
     if robot.actuators.networks.any():
         raise _core.ConfigError(
-            f"{name}: its actuators are networks, and accuracy compares engines under gains; compare the robot it "
+            f"{name}: its actuators are networks, and simulators are compared under gains; compare the robot it "
             "extends, or its policy with polypod sim2sim"
         )
     return robot

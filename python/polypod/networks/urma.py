@@ -28,12 +28,11 @@ from tensordict import TensorDict
 from torch.distributions import Normal
 
 from polypod import _core
+from polypod.descriptions import LOG_FLOOR
 from polypod.networks.joints import JointColumns, as_range, joint_columns
 from polypod.networks.masked import MaskedGaussian
 from polypod.observation import Layout
 
-LOG_FLOOR = 0.01
-"""Least magnitude that the logarithm of a description's number tells from zero."""
 RELATIVE_FLOOR = 0.1
 """Deviation within a robot, in deviations over all joints, below which joints count as equal."""
 STD_RANGE = (0.01, 2.0)
