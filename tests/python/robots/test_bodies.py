@@ -197,7 +197,7 @@ def test_an_interrupted_library_leaves_nothing(tmp_path, monkeypatch, error):
             raise error
         files_of_polypod.write_text(path, text)
 
-    monkeypatch.setattr(bodies, "write_text", write)
+    monkeypatch.setattr(bodies.library, "write_text", write)
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "new", tmp_path / "empty"):
         written.clear()
@@ -216,7 +216,7 @@ def test_a_library_that_is_there_stays_whole(tmp_path, monkeypatch):
     """With --force as well: nothing is replaced before all is written."""
     bodies.generate(tmp_path / "a", 6, seed=1)
     before = files(tmp_path / "a")
-    monkeypatch.setattr(bodies, "_tasks", lambda names: 1 / 0)
+    monkeypatch.setattr(bodies.files, "tasks", lambda task, names: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         bodies.generate(tmp_path / "a", 6, seed=2, force=True)
     assert files(tmp_path / "a") == before

@@ -1,4 +1,4 @@
-"""Links, joints and drives of randomly generated robots, and draws that their kinds share."""
+"""Links, joints and drives of drawn bodies, and draws that their kinds share."""
 
 import dataclasses
 import math
@@ -120,3 +120,39 @@ _AROUND = 0.2
 def around(angle: float, lower: float, upper: float) -> tuple[float, float]:
     """Limits that leave room about an angle."""
     return min(lower, angle - _AROUND), max(upper, angle + _AROUND)
+
+
+def bent(ahead: float, below: float, thigh: float, shank: float) -> tuple[float, float]:
+    """Angles of hip and knee about y that put the end of a leg there from its hip.
+
+    Knees bend by a negative angle.
+    """
+    square = ahead**2 + below**2
+    bend = math.acos(max(-1.0, min(1.0, (square - thigh**2 - shank**2) / (2 * thigh * shank))))
+    inner = math.acos(max(-1.0, min(1.0, (square + thigh**2 - shank**2) / (2 * math.sqrt(square) * thigh))))
+    return math.atan2(-ahead, below) + inner, -bend
+
+
+def rod(name: str, mass: float, length: float, radius: float, ahead: float = 0.0) -> Link:
+    """A link that hangs from its frame, to a place ahead of it."""
+    return Link(name, mass, "cylinder", (radius, length), (ahead / 2, 0.0, -length / 2))
+
+
+def drive_of_legs(rng: np.random.Generator, stiffness: tuple[float, float]) -> Drive:
+    """A drive of the legs, with a stiffness within a range."""
+    return Drive(
+        stiffness=log_uniform(rng, *stiffness),
+        effort=log_uniform(rng, 0.18, 1.4),
+        damping_time=log_uniform(rng, 1 / 60, 1 / 18),
+        armature=log_uniform(rng, 2e-5, 4e-4),
+    )
+
+
+def softer(drive: Drive, stiffness: float, effort: float) -> Drive:
+    """The same with so much less of both."""
+    return dataclasses.replace(
+        drive,
+        stiffness=drive.stiffness * stiffness,
+        effort=max(drive.effort * effort, 0.05),
+        armature=drive.armature * effort,
+    )

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from polypod.arrays import Array
-from polypod.body_parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform
+from polypod.bodies.parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform, rod
 
 POINTS = 0.2
 """Share of bipeds on points."""
@@ -138,7 +138,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
             is_last = child == names[2]
             size = 0.05 * leg
             link = (
-                _rod(child, shares["thigh"] * mass, thigh, 0.07 * leg, float(ahead[0]))
+                rod(child, shares["thigh"] * mass, thigh, 0.07 * leg, float(ahead[0]))
                 if is_last
                 else Link(child, shares["hip"] * mass, "sphere", (size,))
             )
@@ -151,7 +151,7 @@ def _legs(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float,
             at = offsets[i] + [0.0, y * inwards[i], 0.0] if i < len(offsets) else at
         low, high = limits["knee"] if back > 0 else (-limits["knee"][1], -limits["knee"][0])
         pitch = _axis("pitch", y, tilt if cants_pitch else 0.0, cant)
-        shin = _rod(names[3], shares["shank"] * mass, shank, 0.04 * leg, float(ahead[1]))
+        shin = rod(names[3], shares["shank"] * mass, shank, 0.04 * leg, float(ahead[1]))
         at = np.array([ahead[0], 0.0, -thigh])
         parts.append(_Part(shin, names[2], f"{place}_KNEE", tuple(at), pitch, low, high, "knee", angle=back))
         end = (float(ahead[1]), 0.0, -shank)
@@ -196,11 +196,6 @@ def _axis(turn: str, y: float, tilt: float, cant: float) -> tuple[float, ...]:
     if turn == "roll":
         return (math.cos(cant), 0.0, -math.sin(cant))
     return (math.sin(cant), 0.0, math.cos(cant))
-
-
-def _rod(name: str, mass: float, length: float, radius: float, ahead: float = 0.0) -> Link:
-    """A link that hangs from its frame, to a place ahead of it."""
-    return Link(name, mass, "cylinder", (radius, length), (ahead / 2, 0.0, -length / 2))
 
 
 def _upper_body(parts: list[_Part], rng: np.random.Generator, leg: float, mass: float, rest: float, arms: bool) -> None:
@@ -299,7 +294,7 @@ def _arms(
         low, high = limits["pitch"]
         parts.append(_Part(ball, holder, f"{prefix}SHOULDER_PITCH", at, pitch, low, high, "shoulders", swing))
         at, parent = (0.0, y * out, 0.0), f"{prefix}shoulder"
-        link = _rod(f"{prefix}upper_arm", shares["upper"] * mass, upper_arm, 0.04 * leg)
+        link = rod(f"{prefix}upper_arm", shares["upper"] * mass, upper_arm, 0.04 * leg)
         low, high = sides("roll")
         roll_link = link
         if with_yaw:
@@ -324,7 +319,7 @@ def _arms(
                 )
             )
         low, high = limits["elbow"]
-        fore = _rod(f"{prefix}forearm", shares["fore"] * mass, forearm, 0.035 * leg)
+        fore = rod(f"{prefix}forearm", shares["fore"] * mass, forearm, 0.035 * leg)
         below = (0.0, 0.0, -upper_arm)
         parts.append(
             _Part(fore, f"{prefix}upper_arm", f"{prefix}ELBOW", below, (0.0, 1.0, 0.0), low, high, "elbows", bend)
