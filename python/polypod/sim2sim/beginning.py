@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from polypod import _core
 from polypod.arrays import Array
@@ -19,7 +20,7 @@ from polypod.export.robot import RobotInterface
 from polypod.mujoco_model import reference
 from polypod.mujoco_model import robot as model_robot
 from polypod.python_terms import Terms, TermSim
-from polypod.sim2sim.driven import Drive, FoldedPolicy
+from polypod.sim2sim.driven import Drive, FoldedPolicy, Observed
 from polypod.sim2sim.own_terms import OwnTerms
 from polypod.sim2sim.twin import Physics, Twin
 from polypod.vector_env import simulator
@@ -34,6 +35,9 @@ MARGIN = 30.0
 
 _MINIMUM_SHARE = 0.5
 """Share of the termination `root_height_below_minimum`, where the task does not say."""
+
+Step = Callable[[npt.NDArray[np.float32], npt.NDArray[np.bool_]], Observed]
+"""Makes a control step of commands [envs, 3] in the envs of a mask; see `Twin.step`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,6 +229,22 @@ def twin_of(
         gravity=episode.sim.gravity,
     )
     return Twin(robot, bodies, episode.physics, drive)
+
+
+def begun(
+    episode: Beginning, name: str, source: str, interface: RobotInterface, policy: FoldedPolicy
+) -> tuple[Twin, Step]:
+    """One robot of an episode in MuJoCo in its first state, and its control step.
+
+    Terms in Python that the run has take part.
+    """
+    terms = episode.own_terms(name)
+    twin = twin_of(episode, name, source, interface, policy if terms is None else terms.policy(policy))
+    twin.reset(*episode.start[name])
+    if terms is None:
+        return twin, twin.step
+    terms.begin(twin)
+    return twin, functools.partial(terms.step, twin)
 
 
 def _combined_friction(task: dict[str, Any]) -> float:

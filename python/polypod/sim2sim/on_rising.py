@@ -5,7 +5,6 @@ in MuJoCo.
 """
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,15 +17,13 @@ from polypod.evaluation import Policy, rising
 from polypod.evaluation.rising import Goal, Rising
 from polypod.export.robot import interfaces
 from polypod.export.runtime import OnnxPolicy
-from polypod.mujoco_model import reference
 from polypod.networks.policies import reset
 from polypod.policy import load
-from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
-from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
+from polypod.sim2sim.beginning import Beginning, Options, Step, begun, check_steps
 from polypod.sim2sim.compared import Compared
-from polypod.sim2sim.run import Progress, command_line
+from polypod.sim2sim.run import Progress, conditions_of
 from polypod.sim2sim.twin import Twin
 
 
@@ -81,25 +78,17 @@ def compare(
     sources = list(manifest["robot_sources"] if robots is None else robots)
     poses = Poses(manifest, sources, options, terms_of_run(manifest, options.terms, str(checkpoint)))
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
-    twins, policies = {}, {}
-    for source, (name, interface) in zip(sources, known.items(), strict=True):
+    policies = {}
+    for name, interface in known.items():
         check_steps(poses.physics, poses.step_dt, name)
         policies[name] = OnnxPolicy.of(loaded.network, interface)
-        twins[name] = twin_of(poses, name, source, interface, policies[name])
-    when = measured()
+    conditions = conditions_of(poses, checkpoint, robots, options)
     ours = _in_polypod(poses, loaded.runner(), progress)
-    theirs = {name: _in_mujoco(poses, name, twin, policies[name], progress) for name, twin in twins.items()}
-    return RisingComparison(
-        command=command_line(checkpoint, robots, options),
-        task=poses.sim.task_name,
-        envs_per_robot=options.envs_per_robot,
-        seed=options.seed,
-        duration_s=poses.steps * poses.step_dt,
-        mujoco_version=reference.version(),
-        physics=poses.physics,
-        robots={name: BothRising(ours[name], theirs[name]) for name in known},
-        measured=when,
-    )
+    results = {}
+    for source, (name, interface) in zip(sources, known.items(), strict=True):
+        twin, step = begun(poses, name, source, interface, policies[name])
+        results[name] = BothRising(ours[name], _in_mujoco(poses, name, twin, step, progress))
+    return RisingComparison(**conditions, robots=results)
 
 
 def _in_polypod(poses: Poses, policy: Policy, progress: Progress) -> dict[str, Rising]:
@@ -116,14 +105,8 @@ def _in_polypod(poses: Poses, policy: Policy, progress: Progress) -> dict[str, R
     return {name: _figures(found, slice(*sim.env_ids(name))) for name in sim.robots}
 
 
-def _in_mujoco(poses: Poses, name: str, twin: Twin, policy: OnnxPolicy, progress: Progress) -> Rising:
-    goal, terms = poses.goals[name], poses.own_terms(name)
-    if terms is not None:
-        twin.policy = terms.policy(policy)
-    twin.reset(*poses.start[name])
-    if terms is not None:
-        terms.begin(twin)
-    step_by = twin.step if terms is None else functools.partial(terms.step, twin)
+def _in_mujoco(poses: Poses, name: str, twin: Twin, step_by: Step, progress: Progress) -> Rising:
+    goal = poses.goals[name]
     uptime = rising.Uptime(twin.num_envs, poses.step_dt)
     running: npt.NDArray[np.bool_] = np.ones(twin.num_envs, dtype=np.bool_)
     no_command = np.zeros((twin.num_envs, 3), dtype=np.float32)

@@ -1,7 +1,6 @@
 """Both simulators over the same episodes: the same states, commands, falls and errors."""
 
 import dataclasses
-import functools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -22,7 +21,7 @@ from polypod.policy import load
 from polypod.provenance import measured
 from polypod.python_terms import Terms
 from polypod.runs.own_terms import terms_of_run
-from polypod.sim2sim.beginning import Beginning, Options, check_steps, twin_of
+from polypod.sim2sim.beginning import Beginning, Options, begun, check_steps
 from polypod.sim2sim.commands import Commanded, Commands
 from polypod.sim2sim.compared import Compared
 
@@ -132,28 +131,33 @@ def compare(
     terms = terms_of_run(manifest, options.terms, str(checkpoint))
     known = interfaces({**manifest, "overrides": [*manifest["overrides"], *options.overrides]}, sources)
     episode = Episode(manifest, sources, options, terms)
-    physics = episode.physics
     for name in known:
-        check_steps(physics, episode.step_dt, name)
-    when = measured()
+        check_steps(episode.physics, episode.step_dt, name)
+    conditions = conditions_of(episode, checkpoint, robots, options)
     in_polypod = run_polypod(episode, loaded.runner(), progress, watch)
     results = {}
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         policy = OnnxPolicy.of(network, interface)
         theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(in_polypod[name], theirs, episode.is_whole)
-    return Comparison(
-        command=command_line(checkpoint, robots, options),
-        task=episode.sim.task_name,
-        envs_per_robot=options.envs_per_robot,
-        seed=options.seed,
-        duration_s=episode.steps * episode.step_dt,
-        mujoco_version=reference.version(),
-        physics=physics,
-        robots=results,
-        measured=when,
-        distances=descriptions.distances(manifest, sources, str(checkpoint)),
-    )
+    distances = descriptions.distances(manifest, sources, str(checkpoint))
+    return Comparison(**conditions, robots=results, distances=distances)
+
+
+def conditions_of(
+    episode: Beginning, checkpoint: Path, robots: Sequence[str] | None, options: Options
+) -> dict[str, Any]:
+    """The fields of `Compared` that say what is measured, and today's date."""
+    return {
+        "command": command_line(checkpoint, robots, options),
+        "task": episode.sim.task_name,
+        "envs_per_robot": options.envs_per_robot,
+        "seed": options.seed,
+        "duration_s": episode.steps * episode.step_dt,
+        "mujoco_version": reference.version(),
+        "physics": episode.physics,
+        "measured": measured(),
+    }
 
 
 def command_line(checkpoint: Path, robots: Sequence[str] | None, options: Options) -> str:
@@ -278,12 +282,7 @@ def _run_mujoco(
     progress: Progress,
     watch: Watch | None,
 ) -> Figures:
-    terms = episode.own_terms(name)
-    twin = twin_of(episode, name, source, interface, policy if terms is None else terms.policy(policy))
-    twin.reset(*episode.start[name])
-    if terms is not None:
-        terms.begin(twin)
-    step_by = twin.step if terms is None else functools.partial(terms.step, twin)
+    twin, step_by = begun(episode, name, source, interface, policy)
     commands = episode.commands_of(name)
     envs = slice(*episode.sim.env_ids(name))
     record = walking.Record(episode.schedule.of_envs(envs), episode.step_dt)
