@@ -20,12 +20,13 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-from polypod import _core, documents
+from lab import documents
+from polypod import _core
 from polypod.add import add, judge, mjcf
 from polypod.compat import tomllib
-from polypod.documents import table
 from polypod.mujoco_model.reference import mujoco, version
 from polypod.provenance import measured, sentence
+from polypod.text import markdown_table
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -158,11 +159,11 @@ def tables(rows: list[Row], versions: str) -> str:
 
 {sentence(measured())}
 
-{table(head, cells)}
+{markdown_table(head, cells)}
 
 {len(refused)} files are refused, each with the remedy:
 
-{table(("file", "why, and the remedy"), why)}
+{markdown_table(("file", "why, and the remedy"), why)}
 """
 
 

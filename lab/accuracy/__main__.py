@@ -9,8 +9,9 @@ from typing import Annotated
 
 import tyro
 
+from lab import documents
 from lab.accuracy import markdown, report
-from polypod import _core, documents
+from polypod import _core
 from polypod.commands.accuracy import judged
 from polypod.commands.arguments import Robots, arg, check_names, names
 

@@ -8,8 +8,8 @@ from lab.accuracy import engines, sweeps
 from lab.accuracy.report import Report
 from polypod.accuracy.standing import DT, FINE, FIRM, FRICTION, MUJOCO_COARSE, SLOPE_FINE
 from polypod.accuracy.tables import sections
-from polypod.documents import table
 from polypod.provenance import measured, sentence
+from polypod.text import markdown_table
 
 COMMAND = "make accuracy"
 
@@ -63,7 +63,7 @@ def summary(report: Report) -> str:
         for bound in report.bounds
         if bound.front_page and (worst := report.worst(bound)) is not None
     ]
-    return head + "\n\n" + table(("quantity", "measured", "worst", "bound"), rows)
+    return head + "\n\n" + markdown_table(("quantity", "measured", "worst", "bound"), rows)
 
 
 def _worst(values: Iterable[float]) -> float:
@@ -179,7 +179,7 @@ MuJoCo's soft contacts creep.
 
 
 def _sweeps(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("robot", *(f"{count} sweeps" for count in sweeps.COUNTS), "step"),
         [
             (r.robot, *(f"{1e3 * r.left[count]:.1f}" for count in sweeps.COUNTS), f"{1e3 * r.step:.1f}")
@@ -203,7 +203,7 @@ def _engines(report: Report) -> str:
         "largest step (ms)",
         "steps per second",
     )
-    return table(
+    return markdown_table(
         head,
         [
             (
@@ -227,7 +227,7 @@ def _engines(report: Report) -> str:
 
 
 def _slides(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("friction", "speed (m/s)", "direction (degrees)", "formula (m)", "polypod (m)", "MuJoCo (m)"),
         [
             (
@@ -244,7 +244,7 @@ def _slides(report: Report) -> str:
 
 
 def _slopes(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("friction", "slope (degrees)", "formula (m/s^2)", "polypod (m/s^2)", "MuJoCo (m/s^2)"),
         [
             (

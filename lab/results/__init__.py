@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from lab import documents
 from lab.results import pictures, tables
 from lab.results.runs import Results, read
-from polypod import documents
 from polypod.files import real_path
 
 MARK = "results"

@@ -9,10 +9,10 @@ import numpy as np
 
 from lab.results.runs import Results, Run, final, reached, smoothed
 from polypod import _core
-from polypod.documents import table
 from polypod.evaluation import CONFIDENCE, Evaluation, RobotResult, command, walking
 from polypod.evaluation.seeds import Interval, interval
 from polypod.provenance import Measured, sentence
+from polypod.text import markdown_table
 
 FIGURES = {
     "error_vel_xy": ("velocity error (m/s)", ".3f"),
@@ -115,7 +115,7 @@ def _trainings(results: Results) -> str:
             )
         )
     head = ("group", "task", "robots", "runs", "seed", "iterations", "million samples", "minutes", "commit")
-    return "### Trainings\n\n" + table(head, rows)
+    return "### Trainings\n\n" + markdown_table(head, rows)
 
 
 def _range(values: Sequence[float]) -> str:
@@ -230,7 +230,7 @@ def _evaluations(results: Results, condition: Condition) -> str:
                 for name, read in columns.items():
                     cells.append(_cell([read(result) for result in unseen[group].get(robot, [])], forms[name]))
             rows.append(cells)
-        parts.append(table(head, rows))
+        parts.append(markdown_table(head, rows))
     commands: dict[str, list[str]] = {}
     for group, each in alike:
         commands.setdefault(group, []).append(command(each))
@@ -275,7 +275,7 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             episodes = str(sum(result.episodes for result in results))
             figures = (_cell(values(group, robot, key), form) for key, (_, form) in FIGURES.items())
             rows.append([robot, episodes, *figures, *(_walking(results) if judged else [])])
-        return [f"Group {group}, {_seeds(found[group])}:", table(head, rows)]
+        return [f"Group {group}, {_seeds(found[group])}:", markdown_table(head, rows)]
     rows = []
     for robot in _robots(found):
         row = [robot]
@@ -291,7 +291,7 @@ def _by_robot(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
     groups = ", ".join(f"{group} ({_seeds(robots)})" for group, robots in found.items())
     return [
         _wrapped(f"Velocity error (m/s), yaw rate error (rad/s) and falls per episode of {groups}:"),
-        table(["robot", *heads], rows),
+        markdown_table(["robot", *heads], rows),
     ]
 
 
@@ -325,12 +325,18 @@ def _terrain(found: dict[str, dict[str, list[RobotResult]]]) -> list[str]:
             [robot, *(_share(entries, kind, None) for kind in kinds), _share(entries, None, None)]
             for robot, entries in robots.items()
         ]
-        parts += [f"Success by type of tile, group {group}, all levels:", table(["robot", *kinds, "all"], rows)]
+        parts += [
+            f"Success by type of tile, group {group}, all levels:",
+            markdown_table(["robot", *kinds, "all"], rows),
+        ]
         rows = [
             [str(level), *(_share(results, kind, level) for kind in kinds), _share(results, None, level)]
             for level in levels
         ]
-        parts += [f"Success by level, group {group}, mean over the robots:", table(["level", *kinds, "all"], rows)]
+        parts += [
+            f"Success by level, group {group}, mean over the robots:",
+            markdown_table(["level", *kinds, "all"], rows),
+        ]
     return parts
 
 
@@ -356,7 +362,7 @@ def _against_specialists(results: Results, found: dict[str, dict[str, list[Robot
                 cells.append("-" if math.isnan(ratio) else f"{ratio:.1%}")
         rows.append(cells)
     head = ["robot", *(f"{group} / {special}" for special in specialists for group in others)]
-    return ["Tracking reward beside that of policies trained on the robot alone:", table(head, rows)]
+    return ["Tracking reward beside that of policies trained on the robot alone:", markdown_table(head, rows)]
 
 
 def _reached(results: Results, score: float, baseline: str | None) -> str:
@@ -386,7 +392,7 @@ def _reached(results: Results, score: float, baseline: str | None) -> str:
         f"The velocity error is the exploring policy's, averaged over {SMOOTHING} iterations. For several runs: the "
         "mean of those that reached it, and how many did."
     )
-    return f"### Iterations to {what}\n\n{_wrapped(text)}\n\n" + table(["robot", "m/s", *groups], rows)
+    return f"### Iterations to {what}\n\n{_wrapped(text)}\n\n" + markdown_table(["robot", "m/s", *groups], rows)
 
 
 def _iterations(found: Sequence[float]) -> str:
@@ -431,7 +437,11 @@ def _sim2sim(comparisons: Sequence[dict[str, Any]], order: Sequence[str]) -> str
         title += f" {_TRANSFERS[judged]}"
         commands = list(dict.fromkeys(each["command"] for each in found))
         origins = _origins([("", each.get("measured")) for each in found]).removeprefix(": ")
-        parts += [_wrapped(f"{title} {origins}".strip()), table(head, rows), _first_of_each({"robots": commands})]
+        parts += [
+            _wrapped(f"{title} {origins}".strip()),
+            markdown_table(head, rows),
+            _first_of_each({"robots": commands}),
+        ]
     return "\n\n".join(parts)
 
 

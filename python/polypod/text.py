@@ -1,13 +1,19 @@
 """Text of files, users and commands, as it is printed."""
 
 import shlex
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 
 def plain(text: str) -> str:
     """The text in one line, without characters that a terminal obeys in place of showing."""
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in " ".join(text.split()))
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def command_line(words: Iterable[str], given: Mapping[str, Any], repeated: Mapping[str, Iterable[str]] = {}) -> str:

@@ -5,7 +5,7 @@ import math
 
 from polypod.accuracy.report import Report
 from polypod.accuracy.standing import DT
-from polypod.documents import table
+from polypod.text import markdown_table
 
 
 def sections(report: Report) -> dict[str, str]:
@@ -23,7 +23,7 @@ def sections(report: Report) -> dict[str, str]:
 
 
 def _bounds(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("quantity", "measured", "worst", "of", "bound", "why"),
         [
             (bound.quantity, bound.measured, bound.text(worst[1]), worst[0], bound.limit, bound.reason)
@@ -35,7 +35,7 @@ def _bounds(report: Report) -> str:
 
 def _files(report: Report) -> str:
     head = ("robot", "precision", "mass", "com", "limits", "mass matrix", "bias", "forward", "step")
-    return table(
+    return markdown_table(
         head,
         [(r.robot, r.dtype, *(f"{error:.1e}" for error in dataclasses.astuple(r.errors))) for r in report.files],
     )
@@ -43,7 +43,7 @@ def _files(report: Report) -> str:
 
 def _statics(report: Report) -> str:
     head = ("robot", "mass", "com", "position", "rotation", "mass matrix", "bias", "forward", "inverse")
-    return table(
+    return markdown_table(
         head,
         [
             (
@@ -69,7 +69,7 @@ def _statics(report: Report) -> str:
 
 def _responses(report: Report) -> str:
     head = ("robot", "0.5 ms", "MuJoCo 0.5 ms", "5 ms", "MuJoCo 5 ms", "further")
-    return table(
+    return markdown_table(
         head,
         [
             (
@@ -96,7 +96,7 @@ def _drops(report: Report) -> str:
         f"at {1e3 * DT:g} ms (mm)",
         f"at {1e3 * DT:g} ms (degrees)",
     )
-    return table(
+    return markdown_table(
         head,
         [
             (
@@ -118,7 +118,7 @@ def _drops(report: Report) -> str:
 
 
 def _standing(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("robot", "weight (N)", "normal forces (N)", "MuJoCo (N)", "worst foot", "worst horizontal"),
         [
             (
@@ -135,7 +135,7 @@ def _standing(report: Report) -> str:
 
 
 def _rests(report: Report) -> str:
-    return table(
+    return markdown_table(
         ("robot", "up the slope", "polypod (mm)", "MuJoCo (mm)"),
         [(r.robot, r.uphill, f"{1e3 * r.creep:.4f}", f"{1e3 * r.mujoco_creep:.4f}") for r in report.rests],
     )

@@ -119,8 +119,8 @@ class Compare:
 
     def _print(self, first: str, second: str, comparison: "Comparison") -> None:
         """Prints a table per figure, and which policy is better in how many rows."""
-        from polypod.documents import table
         from polypod.tables import Rows, console_of_output
+        from polypod.text import markdown_table
 
         console = console_of_output()
 
@@ -143,7 +143,7 @@ class Compare:
             if not rows:
                 continue
             if self.markdown:
-                say("\n" + table([heading, *head], rows))
+                say("\n" + markdown_table([heading, *head], rows))
                 continue
             lines = Rows(heading, *head)
             for robot, *cells in rows:

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import polypod
+from lab import documents
 from lab.accuracy import __main__ as command
 from lab.accuracy import engines, friction, sweeps
 from lab.accuracy import report as whole
 from lab.accuracy.bounds import BOUNDS, exceeded
 from lab.accuracy.markdown import summary, tables
-from polypod import documents
 from polypod.accuracy import bounds as of_robots
 from polypod.accuracy import motion, report, standing, statics
 from polypod.accuracy.file import FileResult

@@ -1,6 +1,5 @@
-"""Documents with a part that a program writes, between two marks, and its tables."""
+"""Documents with a part that a program writes, between two marks."""
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from polypod import _core
@@ -8,12 +7,6 @@ from polypod.files import read_bytes, write_text
 
 MAX_BYTES = 16 << 20
 """Largest size of a document, bytes."""
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def marks(name: str) -> tuple[str, str]:
