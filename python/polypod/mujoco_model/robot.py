@@ -212,13 +212,23 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         ),
         locked_joints=config.get("locked_joints", {}),
         source=source,
-        needs_policy=bool(config.get("needs_policy")),
+        needs_policy=_needs_policy(source),
         urdf_file=config["urdf"],
         narrowed=tuple((lower, upper) for lower, upper in config.get("joint_limits", {}).values()),
         surfaces=tuple(
             Surface(**{**table, "bodies": tuple(table["bodies"])}) for table in config.get("surfaces", {}).values()
         ),
     )
+
+
+def _needs_policy(source: str) -> bool:
+    """Whether a robot's config, or one that it extends, says that only a policy can balance it.
+
+    A resolved task does not hold the key: it sets nothing.
+    """
+    texts, _ = _core.explain_robot(source)
+    stated = [tables["needs_policy"] for _, text in texts if "needs_policy" in (tables := tomllib.loads(text))]
+    return bool(stated and stated[-1])
 
 
 def _limits(values: list[float | None], absent: float) -> Array:

@@ -156,6 +156,16 @@ def test_the_command_fails_and_writes_nothing_where_a_figure_exceeds_its_bound(
     assert "| step responses, 0.5 ms | deviation | 0.10 mrad | 1 mrad |" in document.read_text()
 
 
+def test_robots_that_need_a_policy_say_so(tmp_path: Path) -> None:
+    """Their own configs, and those that extend one of them."""
+    standing = set(robot.names(standing=True))
+    for name in ("bolt", "unitree_h1", "spot", "phantomx"):
+        assert robot.load(name).needs_policy == (name not in standing)
+    extended = tmp_path / "hopper.toml"
+    extended.write_text('extends = "bolt"\nname = "hopper"\ntitle = "Hopper"\n')
+    assert robot.load(str(extended)).needs_policy
+
+
 def test_a_robot_that_falls_against_its_config_is_named() -> None:
     (line,) = dataclasses.replace(EMPTY, fallen=["spot"]).broken()
     assert "spot" in line
