@@ -1,5 +1,7 @@
 """Rotations in space: unit quaternions (w, x, y, z), one or arrays of them, and matrices."""
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -80,6 +82,14 @@ def matrix_of_angles(roll: float, pitch: float, yaw: float) -> Array:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def matrix_about(axis: npt.ArrayLike, angle: float) -> Array:
+    """[3, 3], the rotation by an angle, rad, about a direction [3] of unit length."""
+    x, y, z = np.asarray(axis, dtype=np.float64)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned: Array = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return turned
 
 
 def angles(turn: Array) -> tuple[float, float, float]:

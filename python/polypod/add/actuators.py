@@ -9,6 +9,7 @@ import numpy as np
 
 from polypod.add.compiling import Compiled, mujoco
 from polypod.add.description import Drive, listed
+from polypod.add.geared import coefficients
 
 
 def drives_of(made: Compiled, names: Mapping[int, str], notes: list[str]) -> dict[int, Drive]:
@@ -87,11 +88,7 @@ def _joint_effort(made: Compiled, joint: int) -> float | None:
 
 
 def _tendon_joints(made: Compiled, tendon: int, names: Mapping[int, str]) -> list[int]:
-    model, wrap = made.model, int(mujoco().mjtWrap.mjWRAP_JOINT)
-    first = int(model.tendon_adr[tendon])
-    wraps = range(first, first + int(model.tendon_num[tendon]))
-    joints = [int(model.wrap_objid[at]) for at in wraps if int(model.wrap_type[at]) == wrap]
-    return [joint for joint in joints if joint in names and made.moves(joint)]
+    return [joint for joint in coefficients(made, tendon) if joint in names and made.moves(joint)]
 
 
 def actuators_of(made: Compiled, joint: int) -> list[int]:

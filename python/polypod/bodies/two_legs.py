@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from polypod import rotations
 from polypod.arrays import Array
 from polypod.bodies.parts import HIP_ORDERS, Body, Drive, Joint, Link, Vector, around, log_uniform, rod
 
@@ -333,14 +334,6 @@ def _arms(
             parent, at = hand.name, (0.0, 0.0, -0.15 * forearm)
 
 
-def _turn(axis: Sequence[float], angle: float) -> Array:
-    """The rotation about an axis."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turned: Array = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
-    return turned
-
-
 def _places(parts: Sequence[_Part], angles: Mapping[str, float]) -> dict[str, tuple[Array, Array]]:
     """Orientation of each link and place of its joint, in the base's frame of the upright pose."""
     places: dict[str, tuple[Array, Array]] = {}
@@ -349,7 +342,7 @@ def _places(parts: Sequence[_Part], angles: Mapping[str, float]) -> dict[str, tu
             places[part.link.name] = np.eye(3), np.zeros(3)
             continue
         turned, at = places[part.parent]
-        here = turned @ _turn(part.axis, angles[part.joint])
+        here = turned @ rotations.matrix_about(part.axis, angles[part.joint])
         places[part.link.name] = here, at + turned @ np.array(part.at)
     return places
 

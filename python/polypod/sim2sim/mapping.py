@@ -232,20 +232,12 @@ class Rigid:
         """This motion, then a turn about a line."""
         if angle == 0.0:
             return self
-        turn = rotation_about(axis, angle)
+        turn = rotations.matrix_about(axis, angle)
         return Rigid(turn @ self.turn, turn @ (self.shift - about) + about)
 
     def then_moved(self, by: Array) -> "Rigid":
         """This motion, then a shift."""
         return Rigid(self.turn, self.shift + by) if np.any(by != 0.0) else self
-
-
-def rotation_about(axis: Array, angle: float) -> Array:
-    """[3, 3], the turn by an angle about a direction of unit length."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    turn: Array = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    return turn
 
 
 class _Matcher:
