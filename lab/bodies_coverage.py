@@ -6,7 +6,6 @@ with drawn bodies of its class.
 """
 
 import dataclasses
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bodies
+from polypod import _core, bodies, simulated
 
 TASK = "velocity_flat_any_legged_play"
 NUMBERS = (
@@ -71,7 +70,7 @@ def describe(robots: Sequence[str]) -> dict[str, tuple[str, Numbers]]:
         layout = 'observations.policy=[{term="joint_descriptors",units="body"}]'
         sim = _core.VecSim(TASK, 1, robots=[robot], overrides=[layout], threads=1)
         sim.reset()
-        (info,) = json.loads(sim.robot_info()).values()
+        (info,) = simulated.robots(sim).values()
         rows = np.asarray(sim.observation[0]).reshape(len(NUMBERS), -1)
         found[sim.robots[0]] = (info["class"], _by_place(info["slots"], rows))
     return found

@@ -1,12 +1,11 @@
 """Cost of a batch of many kinds of bodies, compared with the same kinds one by one."""
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import polypod
-from polypod import _core, provenance
+from polypod import _core, provenance, simulated
 from polypod.bench import sampling
 from polypod.bench.report import Progress
 from polypod.bench.steps import control_steps
@@ -75,7 +74,7 @@ def measure(robots: Sequence[str], num_envs: int, threads: int | None, seed: int
 def _joints(robots: Sequence[str]) -> dict[str, int]:
     env = polypod.make(TASK, num_envs=len(robots), robots=list(robots), seed=0, threads=1)
     try:
-        return {robot: len(info["slots"]) for robot, info in json.loads(env.sim.robot_info()).items()}
+        return {robot: len(info["slots"]) for robot, info in simulated.robots(env.sim).items()}
     finally:
         env.close()
 

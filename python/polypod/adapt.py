@@ -8,7 +8,6 @@ robot gets a separate network, which begins from scratch. Measuring and stopping
 
 import contextlib
 import dataclasses
-import json
 import math
 import shutil
 import time
@@ -18,8 +17,7 @@ from typing import Any, Literal
 
 import torch
 
-from polypod import _core, bundled, descriptions, runs, text
-from polypod.compat import tomllib
+from polypod import _core, bundled, descriptions, runs, simulated, text
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
 from polypod.new_robot import new_robot, robot_name
@@ -271,7 +269,7 @@ def _draft(options: Options, run: Path, reporter: Reporter) -> str:
 def _fitting_policy(robot: str) -> Path:
     """The bundled policy to begin with, by the number of legs."""
     sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
-    (info,) = json.loads(sim.robot_info()).values()
+    (info,) = simulated.robots(sim).values()
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
 
 
@@ -290,7 +288,7 @@ def _changes(
         # a draft names a set of another task; the robot that is described most like it has this
         # task's
         sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
-        (like,) = tomllib.loads(sim.resolved_config())["robots"].values()
+        (like,) = simulated.config(sim)["robots"].values()
         of_robot = [f"robot_overrides.{name}.reward_set={like['reward_set']}"]
     of_task, _ = config.split_overrides(given)
     return [*trained, *of_robot, *of_task]

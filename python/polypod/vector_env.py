@@ -18,7 +18,7 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoA
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.motions.names import observes_motions, split
 from polypod.python_terms import Declared, Memory, Terms, TermSim, load
 from polypod.python_terms.declarations import declared_by
@@ -544,7 +544,7 @@ def action_bounds(sim: _core.VecSim) -> tuple[FloatArray, FloatArray]:
     default pose counts as one. No bound is beyond what `step` takes.
     """
     low, high = np.zeros(sim.num_actions), np.zeros(sim.num_actions)
-    for numbers in json.loads(sim.robot_info()).values():
+    for numbers in simulated.robots(sim).values():
         scale = numbers["action_scale"]
         places = zip(numbers["columns"], numbers["joint_of_slot"], numbers["slot_signs"], strict=True)
         for column, joint, sign in places:

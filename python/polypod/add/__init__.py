@@ -7,7 +7,6 @@ the file says of actuators into the draft, and `judge` compares the robot with M
 
 import contextlib
 import dataclasses
-import json
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -15,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from polypod import _core, new_robot
+from polypod import _core, new_robot, simulated
 from polypod.add import compiling, description, judge, kept, mjcf, sources, urdf
 from polypod.add.compiling import Compiled
 from polypod.add.description import Description
@@ -290,7 +289,7 @@ def _refinement(config: Path, described: Description, origin: str, *, posed: boo
         write_text(config, draft)
         env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
         try:
-            (info,) = json.loads(env.sim.robot_info()).values()
+            (info,) = simulated.robots(env.sim).values()
         finally:
             env.close()
         return refined(draft, described, Slots.of(info), origin, posed=posed and described.pose is not None)

@@ -12,13 +12,12 @@ keeps the simulations and their warm starts between calls.
 
 import importlib
 import itertools
-import json
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Array
 from polypod.bench.sampling import Sample
 from polypod.extras import package
@@ -171,7 +170,7 @@ def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> 
 
 def _feet(name: str) -> list[str]:
     sim = _core.VecSim(robots.TASK, 1, robots=[name], threads=1)
-    return list(json.loads(sim.robot_info())[name]["feet"])
+    return list(simulated.robots(sim)[name]["feet"])
 
 
 def _belongs(model: Any, body: int, names: list[str]) -> bool:

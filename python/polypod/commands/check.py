@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.commands.arguments import Locks, PackageDirs, locked_joints, package_dirs
 
 
@@ -45,13 +45,12 @@ def _of_robot(source: str, dirs: dict[str, str], held: dict[str, float]) -> str:
 
     Raises ConfigError.
     """
-    from polypod.compat import tomllib
     from polypod.new_robot import TASK_OF_OTHERS
     from polypod.robot_files import urdf_file
 
     _core.check_names(None, [source])
     sim = _core.VecSim(TASK_OF_OTHERS, 1, robots=[source], threads=1)
-    config = tomllib.loads(sim.resolved_config())["robots"][sim.robots[0]]
+    config = simulated.config(sim)["robots"][sim.robots[0]]
     place = urdf_file(source, config["urdf"])
     folder = Path() if place is None else place.parent
     dirs = {**{name: str(folder / path) for name, path in config.get("package_dirs", {}).items()}, **dirs}

@@ -10,13 +10,12 @@ in the units of the policy, and the jerk grows with the action scale.
 """
 
 import dataclasses
-import json
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Array
 from polypod.evaluation import measures
 from polypod.evaluation.rollout import play_task, undisturbed
@@ -124,7 +123,7 @@ def measure(
     sim = sim_of(1)
     walk = _run(sim, policy, np.tile(np.array(WALK, dtype=np.float32), (len(robots), 1)), WALK_S)
     found = {}
-    infos = json.loads(sim.robot_info())
+    infos = simulated.robots(sim)
     for index, robot in enumerate(sim.robots):
         envs = slice(index * len(COMMANDS) * ENVS_PER_COMMAND, (index + 1) * len(COMMANDS) * ENVS_PER_COMMAND)
         info = infos[robot]

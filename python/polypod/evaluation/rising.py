@@ -5,7 +5,6 @@ the vertical and the base is at least at `HEIGHT` of the height that the task wa
 """
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Array
 from polypod.evaluation.walking import numbers_of
 
@@ -72,7 +71,7 @@ def least_height(share: float, info: Mapping[str, Any]) -> float:
 
 def goals(sim: _core.VecSim, configs: Mapping[str, Any]) -> dict[str, Goal]:
     """Goals of robots rewarded for `upright` and `torso_height`; `configs` are resolved."""
-    infos, found = json.loads(sim.robot_info()), {}
+    infos, found = simulated.robots(sim), {}
     for robot in sim.robots:
         rewards = configs["task"].get("rewards", {}).get(configs["robots"][robot]["reward_set"], {})
         terms = {term.get("term", name): term for name, term in rewards.items() if term.get("enabled", True)}

@@ -1,16 +1,14 @@
 """Running a policy for the figures of an evaluation."""
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Array
-from polypod.compat import tomllib
 from polypod.evaluation import measures, rising, walking
 from polypod.evaluation.results import Evaluation, RobotResult, robot_result
 from polypod.motions.names import split
@@ -119,7 +117,7 @@ def evaluate(
         autoreset="disabled",
         slots=list(slots),
     )
-    configs = tomllib.loads(sim.resolved_config())
+    configs = simulated.config(sim)
     if "base_velocity" not in configs["task"]["commands"]:
         if grid is not None:
             raise _core.ConfigError(f"{sim.task_name}: grid: the task gives no velocity command (`base_velocity`)")
@@ -198,7 +196,7 @@ def _results(
 
     Walking and getting up have figures where the episodes ask for them.
     """
-    infos = json.loads(sim.robot_info())
+    infos = simulated.robots(sim)
     gravity = float(np.linalg.norm(sim.gravity))
     results = {}
     for robot in sim.robots:

@@ -1,16 +1,14 @@
 """Interface of a policy and one robot: sensors to observation, action to joints."""
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Floats
-from polypod.compat import tomllib
 from polypod.export.sources import check
 from polypod.observation import Term, placed, terms_of
 
@@ -157,7 +155,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
     for term in terms:
         check(term, INPUTS)
     constants = {term.term: columns for term, columns in placed(terms) if term.source == "robot_constant"}
-    infos, shapes = json.loads(sim.robot_info()), json.loads(sim.robot_shapes())
+    infos, shapes = simulated.robots(sim), simulated.shapes(sim)
     observation = sim.observation
     return {
         robot: RobotInterface(
@@ -202,7 +200,7 @@ def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> t
     overrides = [*manifest["overrides"], "observations.enable_noise=false"]
     slots = manifest["canonical_joint_names"]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=overrides, slots=slots)
-    configs = tomllib.loads(sim.resolved_config())
+    configs = simulated.config(sim)
     off = [f"events.{name}.enabled=false" for name in configs["task"].get("events", {})]
     sim = _core.VecSim(manifest["task"], len(names), robots=names, threads=1, overrides=[*overrides, *off], slots=slots)
     return sim, configs

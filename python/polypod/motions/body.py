@@ -1,13 +1,12 @@
 """Kinematics of a humanoid by the roles of its joints."""
 
 import functools
-import json
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, descriptions, rotations
+from polypod import _core, descriptions, rotations, simulated
 from polypod.arrays import Array
 from polypod.motions.motion import Motion
 
@@ -196,7 +195,7 @@ def body_of(robot: str) -> Body:
 def _body_of(robot: str) -> Body:
     sim = _core.VecSim(descriptions.TASK, 1, robots=[robot], threads=1, overrides=["env_shares=null"])
     (name,) = sim.robots
-    info = json.loads(sim.robot_info())[name]
+    info = simulated.robots(sim)[name]
     slots, of_slot = tuple(info["slots"]), np.array(info["joint_of_slot"], dtype=np.int64)
     for side in SIDES:
         for role in ("HIP_PITCH", "KNEE", "ANKLE_PITCH"):

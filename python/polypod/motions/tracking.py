@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, rotations
+from polypod import _core, rotations, simulated
 from polypod.arrays import Array
 from polypod.compat import tomllib
 from polypod.motions import library, sampling
@@ -89,14 +89,14 @@ class Tracker:
     def __init__(self, env: Any, found: Options, sources: Sequence[str]) -> None:
         """Makes the clips for the robots of `env`, whose names or paths are `sources`."""
         self.options = found
-        info = json.loads(env.sim.robot_info())
+        info = simulated.robots(env.sim)
         self.robots: list[str] = env.robots
         self.references: list[Reference] = []
         self.columns: list[Ids] = []
         self.ahead: list[npt.NDArray[np.float32]] = []
         """Joints of each robot, [frames, 2 look-ahead, actions]: positions, then velocities."""
         self.com: list[Array] = []
-        shapes = json.loads(env.sim.robot_shapes())
+        shapes = simulated.shapes(env.sim)
         for robot, source in zip(self.robots, sources, strict=True):
             body = body_of(source)
             clips = library.clips_of(found.clips, body.source)

@@ -5,7 +5,7 @@ import dataclasses
 import functools
 import json
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.add.root import rooted
 from polypod.arrays import Array
 from polypod.compat import tomllib
@@ -187,8 +187,8 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
 
     `source` is its name, or the path of its config.
     """
-    info = json.loads(sim.robot_info())[name]
-    config = tomllib.loads(sim.resolved_config())["robots"][name]
+    info = simulated.robots(sim)[name]
+    config = simulated.config(sim)["robots"][name]
     groups = config["actuators"]
     slots = dict(zip(info["joint_of_slot"], info["slots"], strict=True))
     signs = dict(zip(info["joint_of_slot"], info["slot_signs"], strict=True))
@@ -231,7 +231,7 @@ def _needs_policy(source: str) -> bool:
     return bool(stated and stated[-1])
 
 
-def _limits(values: list[float | None], absent: float) -> Array:
+def _limits(values: Sequence[float | None], absent: float) -> Array:
     """Limits of all joints; JSON has no infinity."""
     return np.array([absent if value is None else value for value in values], dtype=np.float64)
 

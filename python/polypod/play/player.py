@@ -1,7 +1,6 @@
 """A policy in the simulator, frame by frame."""
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, descriptions, rotations
+from polypod import _core, descriptions, rotations, simulated
 from polypod.arrays import Array
-from polypod.compat import tomllib
 from polypod.evaluation import play_task, undisturbed
 from polypod.networks.policies import Policy, reset
 from polypod.policy import load
@@ -84,7 +82,7 @@ class Player(Scene):
         arguments: dict[str, Any] = {"robots": sources, "seed": seed, "threads": threads}
         arguments["slots"] = manifest["canonical_joint_names"]
         sim = simulator(of_run, name, envs_per_robot * len(sources), play=True, overrides=changes, **arguments)
-        defaults = _defaults(tomllib.loads(sim.resolved_config())["task"], aligned=command is not None)
+        defaults = _defaults(simulated.config(sim)["task"], aligned=command is not None)
         if defaults:
             changes = [*defaults, *changes]
             sim = simulator(of_run, name, envs_per_robot * len(sources), play=True, overrides=changes, **arguments)
@@ -94,7 +92,7 @@ class Player(Scene):
                 f"gives {sim.num_obs}; play it in its own task, {manifest['task']}"
             )
         super().__init__(sim, SPACING if command is not None else None)
-        shapes = json.loads(sim.robot_shapes())
+        shapes = simulated.shapes(sim)
         self._com = {robot: np.array(shapes[robot]["base_com"]) for robot in sim.robots}
         self.distances = descriptions.distances(manifest, sources, str(policy.file))
         """How far the robots that the policy was not trained on are from its training bodies."""

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
-from polypod.compat import tomllib
+from polypod import _core, simulated
 from polypod.python_terms.checks import Checks
 from polypod.python_terms.declarations import Command, Event, Shown, Terms
 from polypod.python_terms.env import TermEnv
@@ -597,7 +596,7 @@ class TermSim(_core.VecSim):
         by_place = {(term.group, term.name): term for term in self.terms.shown}
         columns = []
         per = {"per_joint": self.num_actions, "per_foot": len(self.feet_names)}
-        for group, name in declared_in(tomllib.loads(self.resolved_config())["task"]):
+        for group, name in declared_in(simulated.config(self)["task"]):
             term = by_place.get((group, name))
             if term is None and self.terms.options is not None:
                 term = self.terms.observations.get(name)

@@ -1,16 +1,14 @@
 """Robots and ground of a simulator, frame by frame, with all that a picture of them needs."""
 
 import dataclasses
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, rotations
+from polypod import _core, rotations, simulated
 from polypod.arrays import Array
-from polypod.compat import tomllib
 from polypod.render import mesh
 from polypod.render.ground import Ground
 from polypod.render.mesh import Mesh
@@ -96,7 +94,7 @@ class Scene:
         self.sim = sim
         self.time = 0.0
         """Since the scene was made, s; whoever steps the simulator counts it."""
-        config = self.config = tomllib.loads(sim.resolved_config())["task"]
+        config = self.config = simulated.config(sim)["task"]
         """The task's part of `VecSim.resolved_config`."""
         self.obstacles: list[Mesh] = [
             part for description in config["scene"].get("obstacles", []) for part in mesh.obstacle(description)
@@ -112,7 +110,7 @@ class Scene:
         self.shared = self.ground is not None or config["scene"].get("placement") == "global"
         """Whether all envs are in one world."""
         self.step_dt = sim.step_dt
-        shapes, infos = json.loads(sim.robot_shapes()), json.loads(sim.robot_info())
+        shapes, infos = simulated.shapes(sim), simulated.robots(sim)
         self.outlines = shapes
         """By robot, its entry of `VecSim.robot_shapes`."""
         self.parts = {robot: _parts(shapes[robot]) for robot in sim.robots}

@@ -1,12 +1,10 @@
 """Numbers of a robot that a condition needs to say how it changes it."""
 
 import dataclasses
-import json
 from collections.abc import Iterable, Mapping
 from xml.etree import ElementTree
 
-from polypod import _core
-from polypod.compat import tomllib
+from polypod import _core, simulated
 
 UPRIGHT = ("biped", "humanoid")
 """Classes of robots that are allowed twice the bounds."""
@@ -41,7 +39,7 @@ def bodies(sim: _core.VecSim, sources: Iterable[str]) -> dict[str, Body]:
 
     `sources` are what they were made from, in the same order.
     """
-    infos, configs = json.loads(sim.robot_info()), tomllib.loads(sim.resolved_config())["robots"]
+    infos, configs = simulated.robots(sim), simulated.config(sim)["robots"]
     ranges = sim.command_ranges()
     return {
         name: Body(

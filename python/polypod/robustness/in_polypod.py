@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Floats
-from polypod.compat import tomllib
 from polypod.evaluation import Policy, play_task, undisturbed
 from polypod.evaluation.rollout import as_trained
 from polypod.evaluation.walking import Record, Schedule, episode_steps
@@ -122,7 +121,7 @@ class Nominal:
         """The nominal robots of a setting, `num_envs` of each."""
         sim = setting.sim(num_envs)
         columns = description_columns(sim)
-        dt = tomllib.loads(sim.resolved_config())["task"]["sim"]["dt"]
+        dt = simulated.config(sim)["task"]["sim"]["dt"]
         return cls(bodies(sim, setting.sources), dt, columns, sim.observation[:, columns].copy())
 
 

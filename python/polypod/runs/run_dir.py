@@ -30,7 +30,7 @@ import numpy as np
 import tomli_w
 import torch
 
-from polypod import _core, descriptions
+from polypod import _core, descriptions, simulated
 from polypod.files import read_bytes, real_path, remove_stale, write_bytes, write_text
 from polypod.provenance import git_state
 from polypod.python_terms import Terms
@@ -376,7 +376,7 @@ def manifest_of(
     sim: _core.VecSim, config: TrainConfig, robots: list[str] | None, overrides: list[str], command: str
 ) -> dict[str, Any]:
     """Manifest of this run: all that its policies need elsewhere, and their origin."""
-    infos = json.loads(sim.robot_info())
+    infos = simulated.robots(sim)
     return {
         "format": 1,
         "command": command,
@@ -415,7 +415,7 @@ def _trained_bodies(sim: _core.VecSim, robots: list[str] | None, overrides: list
     return {"trained_bodies": descriptions.to_manifest(descriptions.describe(robots or sim.robots, task, overrides))}
 
 
-def _joint_map(info: dict[str, Any]) -> list[dict[str, Any]]:
+def _joint_map(info: simulated.RobotInfo) -> list[dict[str, Any]]:
     """Per slot: name, column, joint, joint index, and whether it turns the other way (-1)."""
     names, joints = info["joint_names"], info["joint_of_slot"]
     rows = zip(info["slots"], info["columns"], joints, info["slot_signs"], strict=True)

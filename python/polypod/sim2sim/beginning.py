@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.arrays import Array
-from polypod.compat import tomllib
 from polypod.evaluation import play_task, rising, undisturbed
 from polypod.evaluation.rollout import Commands as Drawn
 from polypod.export.robot import RobotInterface
@@ -124,7 +122,7 @@ class Beginning:
                 "choose smaller --steps or --num-envs"
             )
         self.seed = options.seed
-        self.resolved: dict[str, Any] = tomllib.loads(self.sim.resolved_config())
+        self.resolved: dict[str, Any] = simulated.config(self.sim)
         self.task: dict[str, Any] = self.resolved["task"]
         if self.task["scene"].get("obstacles"):
             raise _core.ConfigError(
@@ -140,7 +138,7 @@ class Beginning:
             self.task, options, self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN)
         )
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
-        self.outlines: dict[str, Any] = json.loads(self.sim.robot_shapes())
+        self.outlines: dict[str, Any] = simulated.shapes(self.sim)
 
     def longest(self, options: Options) -> int:
         """Control steps of an episode where `options` do not say."""

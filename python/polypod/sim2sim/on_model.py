@@ -3,7 +3,6 @@
 import dataclasses
 import functools
 import hashlib
-import json
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from polypod import _core, rotations, text
+from polypod import _core, rotations, simulated, text
 from polypod.arrays import Array
 from polypod.evaluation import Policy, walking
 from polypod.evaluation.results import finite
@@ -273,7 +272,7 @@ def guess(model_file: Path, robots: Sequence[str]) -> str:
         raise _core.ConfigError(f"--model {model_file}: {mjcf.one_line(error)}") from error
     names = [model.joint(joint).name for joint in range(model.njnt)]
     sim = _core.VecSim(model_robot.TASK, len(robots), robots=list(robots), threads=1)
-    infos = json.loads(sim.robot_info())
+    infos = simulated.robots(sim)
     costs: dict[str, float] = {}
     for source, name in zip(robots, sim.robots, strict=True):
         joints = infos[name]["joint_names"]

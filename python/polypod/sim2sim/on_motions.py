@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, rotations
+from polypod import _core, rotations, simulated
 from polypod.arrays import Array, Floats
-from polypod.compat import tomllib
 from polypod.evaluation.tracking import ClipResult, Seen, Trial, terms_of
 from polypod.export.robot import RobotInterface, interfaces
 from polypod.export.runtime import OnnxPolicy
@@ -96,7 +95,7 @@ def measure_checkpoint(
 def _twin(
     trial: Trial, name: str, source: str, interface: RobotInterface, policy: _WithReference, options: Options
 ) -> Twin:
-    task = tomllib.loads(trial.sim.resolved_config())["task"]
+    task = simulated.config(trial.sim)["task"]
     robot = model_robot.of(trial.sim, name, source)
     count = len(trial.seen[name].clip)
     dt = float(task["sim"]["dt"])

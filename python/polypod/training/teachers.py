@@ -6,7 +6,6 @@ teacher and student may differ.
 """
 
 import difflib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,8 +18,7 @@ from rsl_rl.storage import RolloutStorage
 from rsl_rl.utils import resolve_class, resolve_obs_groups
 from tensordict import TensorDict
 
-from polypod import _core
-from polypod.compat import tomllib
+from polypod import _core, simulated
 from polypod.descriptions import for_one_env_each
 from polypod.networks import UrmaModel
 from polypod.networks.masked import ACTION_MASK
@@ -457,13 +455,13 @@ def _numbers(sim: _core.VecSim, group: str) -> list[Number]:
 
 def _treatments(sim: _core.VecSim, group: str) -> dict[str, dict[str, Any]]:
     """How a task gives the terms of a group, by name, without `OF_TRAINING`."""
-    task = tomllib.loads(sim.resolved_config())["task"]
+    task = simulated.config(sim)["task"]
     entries = task["observations"][group]
     return {entry["term"]: {key: value for key, value in entry.items() if key not in OF_TRAINING} for entry in entries}
 
 
 def _infos(sim: _core.VecSim) -> dict[str, Any]:
-    infos: dict[str, Any] = json.loads(sim.robot_info())
+    infos: dict[str, Any] = simulated.robots(sim)
     return infos
 
 

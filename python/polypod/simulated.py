@@ -1,0 +1,72 @@
+"""Robots, shapes and config of a simulator, which gives them as text."""
+
+import json
+from typing import Any, TypedDict
+
+from polypod import _core
+from polypod.compat import tomllib
+
+_Class = TypedDict("_Class", {"class": str})  # a word of Python
+
+
+class _Networks(TypedDict, total=False):
+    """Keys of robots with actuator networks."""
+
+    actuator_networks: list[dict[str, Any]]
+    """Networks in the place of gains, with their inputs and joints."""
+
+
+class RobotInfo(_Class, _Networks):
+    """Numbers of a robot, joints in its own order; see `VecSim.robot_info`."""
+
+    title: str
+    mass: float
+    """Mass of all links, kg."""
+    joint_names: list[str]
+    joint_of_slot: list[int]
+    """Joint that each of the robot's slots moves."""
+    slots: list[str]
+    slot_signs: list[float]
+    """1 where a joint turns as its slot does, -1 where it turns the other way round."""
+    columns: list[int]
+    """Column of the action of each slot."""
+    default_pose: list[float]
+    """Default position of each joint, rad."""
+    action_scale: float
+    """Change of a target by one unit of action, rad."""
+    stiffness: list[float]
+    """Stiffness of each joint's gains, N m/rad."""
+    damping: list[float]
+    """Damping of each joint's gains, N m s/rad."""
+    effort_limit: list[float | None]
+    """Effort limit of each joint, N m; None: it has none."""
+    velocity_limit: list[float]
+    """Speed limit of each joint, rad/s."""
+    lower: list[float | None]
+    upper: list[float | None]
+    """Position limits of each joint, rad; None: it has none on this side."""
+    base_height: float
+    """Height of the base above the lowest foot in the default pose, m."""
+    hip_height: float
+    """Height of the hips there, m."""
+    feet: list[str]
+    legs: list[str]
+    mirror: list[tuple[int, float]]
+    """Slot and sign that each slot has in the mirror image."""
+
+
+def robots(sim: _core.VecSim) -> dict[str, RobotInfo]:
+    """Numbers of each robot."""
+    found: dict[str, RobotInfo] = json.loads(sim.robot_info())
+    return found
+
+
+def shapes(sim: _core.VecSim) -> dict[str, Any]:
+    """Links and collision shapes of each robot; see `VecSim.robot_shapes`."""
+    found: dict[str, Any] = json.loads(sim.robot_shapes())
+    return found
+
+
+def config(sim: _core.VecSim) -> dict[str, Any]:
+    """The resolved task and its robots; see `VecSim.resolved_config`."""
+    return tomllib.loads(sim.resolved_config())
