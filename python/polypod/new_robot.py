@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -11,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, simulated
+from polypod import _core, bare_ends
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -212,7 +213,7 @@ def stand(robot: Path, progress: Callable[[int, int], None] | None = None) -> St
         env.reset()
         actions = np.zeros((NUM_ENVS, env.sim.num_actions), dtype=np.float32)
         fallen = np.zeros(NUM_ENVS, dtype=np.bool_)
-        (info,) = simulated.robots(env.sim).values()
+        (info,) = json.loads(env.sim.robot_info()).values()
         carried: list[npt.NDArray[np.float32]] = []
         steps = round(SECONDS / env.step_dt)
         for step in range(steps):
