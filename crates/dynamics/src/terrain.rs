@@ -249,8 +249,8 @@ impl HeightGrid {
         }
     }
 
-    /// Where the first corner of the cell below a place is kept, and where in the cell the place is,
-    /// 0 to 1 along x and y.
+    /// Where the first corner of the cell below a place is kept, and where in the cell the place
+    /// is, 0 to 1 along x and y.
     #[inline(always)]
     fn cell_below(&self, x: f32, y: f32) -> (u32, f32, f32) {
         let (i, u) = Self::split((x - self.origin[0]) / self.cell, self.size[0]);
@@ -511,7 +511,7 @@ mod tests {
         }
     }
 
-    /// A grid of three by two pages, the last ones of each row in part, and a height for each point.
+    /// An uneven grid of three by two pages, the last ones of each row in part.
     fn uneven() -> HeightGrid {
         let mut grid = HeightGrid::level([-1.0, 0.5], CELL, [70, 41], 0.0);
         for i in 0..70 {
