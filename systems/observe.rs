@@ -204,14 +204,13 @@ fn gather(own_columns: impl Iterator<Item = usize> + Clone, columns: usize, from
 }
 
 /// Moves the numbers of a robot's own joints or feet, which come first, to their columns of the
-/// batch's, and sets all others to zero. `own_columns` are in rising order: none is overwritten
-/// before it has moved.
+/// batch's. Places from which they move become zero; all others keep their zeros. `own_columns` are
+/// in rising order: none is overwritten before it has moved.
 fn spread<I>(own_columns: I, columns: usize, numbers: &mut [f32])
 where
     I: ExactSizeIterator<Item = usize> + DoubleEndedIterator + Clone,
 {
     let (count, blocks) = (own_columns.len(), numbers.len() / columns);
-    numbers[blocks * count..].fill(0.0);
     for block in (0..blocks).rev() {
         for (own, column) in own_columns.clone().enumerate().rev() {
             let number = std::mem::take(&mut numbers[block * count + own]);
@@ -253,6 +252,11 @@ impl ObservationTerm {
         write(&mut newest[..own]);
         self.apply_noise_and_scale(&mut newest[..own], rng);
         if own != size {
+            // columns of other robots' joints stay zero for the rest of the episode: where rows are
+            // long, writing them costs more than the robot's own numbers
+            if is_new {
+                newest[own..].fill(0.0);
+            }
             match self.spec.kind {
                 TermKind::PerFoot => spread(robot.foot_columns.iter().copied(), size, newest),
                 _ => spread(robot.slots.iter().map(SlotJoint::column), columns, newest),

@@ -73,8 +73,14 @@ pub(crate) trait RobotRows: SplitRows {
     /// Reads the report of [resident](RowFamily::RESIDENT) robots, as far as rows hold it.
     fn read_report<L: Real>(&self, _row: usize, _report: &mut Report<L>, _lane: usize) {}
 
-    /// Prefetches the memory of a row.
+    /// Asks for the memory of a row well ahead.
     fn prefetch(&self, _row: usize) {}
+
+    /// Asks for what a step reads of a row, right before it is read.
+    fn prefetch_read(&self, _row: usize) {}
+
+    /// Asks for what a step writes of a row and has not read, right before it is written.
+    fn prefetch_written(&self, _row: usize) {}
 
     /// Writes new states. If a row diverged, returns its state before and after the step, where
     /// rows keep records. `first_env` is the env of the first row.
@@ -261,7 +267,11 @@ impl RobotRows for RobotSlices<'_> {
         lane: usize,
     ) {
         self.efforts[row].set(report, lane);
-        let net = |body: usize| report.body_force[body].map(|force| force.lane_f32(lane));
+        let net = |body: usize| {
+            // number by number: the lanes of a force are long to copy
+            let [x, y, z] = &report.body_force[body];
+            [x.lane_f32(lane), y.lane_f32(lane), z.lane_f32(lane)]
+        };
         let normal = |step: usize, body: usize| report.normal_force[step][body].lane_f32(lane);
         self.forces[row].set(feet, touching, net, normal);
         self.feet[row].set(report, lane);
@@ -270,6 +280,27 @@ impl RobotRows for RobotSlices<'_> {
     #[inline]
     fn prefetch(&self, row: usize) {
         self.prefetch_row(row);
+    }
+
+    #[inline]
+    fn prefetch_read(&self, row: usize) {
+        prefetch(&self.origins[row]);
+        prefetch(&self.poses[row]);
+        prefetch(&self.velocities[row]);
+        prefetch(&self.joints[row]);
+        prefetch(&self.targets[row]);
+        prefetch(&self.delays[row]);
+        prefetch(&self.memories[row]);
+        prefetch(&self.wrenches[row]);
+        prefetch(&self.link_forces[row]);
+        prefetch(&self.impulses[row]);
+    }
+
+    #[inline]
+    fn prefetch_written(&self, row: usize) {
+        prefetch(&self.efforts[row]);
+        prefetch(&self.forces[row]);
+        prefetch(&self.feet[row]);
     }
 
     fn record(

@@ -7,8 +7,8 @@ use rand_pcg::Pcg32;
 use rand_pcg::rand_core::Rng;
 
 use super::model::{Geometry, Model, Shape};
-use crate::dynamics::math::Spatial;
-use crate::dynamics::{ColliderTopology, Parameters, Scalar, Topology, Workspace};
+use crate::dynamics::lanes::Simd;
+use crate::dynamics::{ColliderTopology, Parameters, Topology, Workspace, pair_gaps};
 
 /// Number of joint positions that are tried in the search for pairs that can meet at all.
 const SAMPLES: usize = 2048;
@@ -95,19 +95,11 @@ fn are_apart(model: &Model, a: usize, b: usize) -> bool {
 
 /// Pairs that are apart in the reference pose and near each other in another.
 fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]) -> Vec<bool> {
-    let mut work = Workspace::new(topology);
-    let still = vec![0.0; topology.num_joints()];
-    let mut pose = |q: &[f64], look: &mut dyn FnMut(&Workspace<f64>)| {
-        f64::forward_kinematics(topology, parameters, q, &still, &Spatial::zero(), &mut work);
-        f64::place_colliders(topology, parameters, &mut work);
-        look(&work);
-    };
-    let mut apart = Vec::new();
-    pose(reference, &mut |work| {
-        let gaps = (0..topology.pairs.len()).map(|pair| f64::pair_gap(topology, work, pair));
-        apart = gaps.map(|gap| gap > TOUCHES_BY_DESIGN).collect();
-    });
-    let mut open: Vec<usize> = (0..topology.pairs.len()).filter(|&pair| apart[pair]).collect();
+    let simd = Simd::available().first().map_or(Simd::Portable, |simd| *simd).dispatch();
+    let (mut work, mut gaps) = (Workspace::new(topology), Vec::new());
+    let all: Vec<usize> = (0..topology.pairs.len()).collect();
+    pair_gaps(simd, topology, parameters, reference, &all, &mut work, &mut gaps);
+    let mut open: Vec<usize> = all.into_iter().filter(|&pair| gaps[pair] > TOUCHES_BY_DESIGN).collect();
     let mut meet = vec![false; topology.pairs.len()];
     let mut rng = Pcg32::new(1, 1);
     let mut q = vec![0.0; topology.num_joints()];
@@ -117,12 +109,9 @@ fn can_meet(topology: &Topology, parameters: &Parameters<f64>, reference: &[f64]
             let high = parameters.upper[j].min(reference[j] + UNLIMITED_RANGE);
             *x = low + (high - low) * f64::from(rng.next_u32()) / f64::from(u32::MAX);
         }
-        pose(&q, &mut |work| {
-            open.retain(|&pair| {
-                meet[pair] = f64::pair_gap(topology, work, pair) < NEVER_NEAR;
-                !meet[pair]
-            });
-        });
+        pair_gaps(simd, topology, parameters, &q, &open, &mut work, &mut gaps);
+        open.iter().zip(&gaps).for_each(|(&pair, &gap)| meet[pair] = gap < NEVER_NEAR);
+        open.retain(|&pair| !meet[pair]);
     }
     meet
 }

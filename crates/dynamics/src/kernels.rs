@@ -237,6 +237,47 @@ impl Kernel<f32> for ForwardKinematics<'_> {
     }
 }
 
+/// Gaps of some `pairs` of links at joint positions, rad, `[joints]`, m: [`Scalar::pair_gap`] after
+/// all that it asks for, compiled for an instruction set like [`forward_kinematics`].
+#[cfg(not(test))]
+pub fn pair_gaps(
+    simd: SimdDispatch,
+    topology: &Topology,
+    parameters: &Parameters<f64>,
+    position: &[f64],
+    pairs: &[usize],
+    work: &mut Workspace<f64>,
+    gaps: &mut Vec<f64>,
+) {
+    simd.vectorize(PairGaps { topology, parameters, position, pairs, work, gaps });
+}
+
+/// Arguments of [`pair_gaps`].
+struct PairGaps<'a> {
+    topology: &'a Topology,
+    parameters: &'a Parameters<f64>,
+    position: &'a [f64],
+    pairs: &'a [usize],
+    work: &'a mut Workspace<f64>,
+    gaps: &'a mut Vec<f64>,
+}
+
+impl Kernel<f32> for PairGaps<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { topology, parameters, position, pairs, work, gaps } = self;
+        let still = vec![0.0; position.len()];
+        kinematics::forward_kinematics(topology, parameters, position, &still, &Spatial::zero(), work);
+        self_contact::place_colliders(topology, parameters, work);
+        gaps.clear();
+        for &pair in pairs {
+            gaps.push(self_contact::pair_gap(topology, work, pair));
+        }
+    }
+}
+
 /// Finds where rays meet the ground, in lanes of an instruction set. Bits depend on no set.
 #[cfg(not(test))]
 pub fn cast_rays(simd: SimdToken, rays: Rays) {

@@ -48,7 +48,7 @@ pub use articulation::{
 pub use ground::Plane;
 pub use kernels::{Kernels, Scalar, WithKernels};
 #[cfg(not(test))]
-pub use kernels::{cast_rays, forward_kinematics, with_kernels};
+pub use kernels::{cast_rays, forward_kinematics, pair_gaps, with_kernels};
 pub use kinematics::point_motion;
 pub use networks::{
     ActuatorNetwork, Function, Instruction, NetworkInput, NetworkProgram, NetworkStep, Operation, Span,

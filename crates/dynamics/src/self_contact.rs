@@ -206,6 +206,7 @@ fn box_links<S: Real, B: BodyNumbers<S>>(
 
 /// Puts the colliders where the workspace's kinematics has their links. For tools and tests: a step
 /// places those that it needs.
+#[inline(always)]
 pub fn place_colliders<S: Real, B: BodyNumbers<S>>(topology: &Topology, parameters: B, work: &mut Workspace<S>) {
     for (c, collider) in topology.colliders.iter().enumerate() {
         place_collider(topology, parameters, c, &work.links[collider.link], &mut work.colliders[c]);

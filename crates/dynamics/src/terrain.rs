@@ -87,6 +87,14 @@ impl HeightGrid {
         self.points[self.place(page, [i - page[0] * PAGE, j - page[1] * PAGE])]
     }
 
+    /// Heights from a point along y to the end of its page, m.
+    fn run(&self, i: usize, j: usize) -> &[f32] {
+        let page = [0, 1].map(|axis| ([i, j][axis] / PAGE).min((self.size[axis] - 2) / PAGE));
+        let first = j - page[1] * PAGE;
+        let len = (self.size[1] - j).min(EDGE - first);
+        &self.points[self.place(page, [i - page[0] * PAGE, first])..][..len]
+    }
+
     /// Changes the height of a point, m.
     pub fn set_height(&mut self, i: usize, j: usize, height: f32) {
         // a point at the edge of a page belongs to the page before as well
@@ -128,10 +136,22 @@ impl HeightGrid {
         let [rows, columns] = self.size;
         let num = [rows.div_ceil(stride), columns.div_ceil(stride)];
         let mut own = vec![f32::MIN; num[0] * num[1]];
-        for i in 0..rows {
-            for j in 0..columns {
-                let most = &mut own[i / stride * num[1] + j / stride];
-                *most = most.max(self.height(i, j));
+        // the largest heights of a row of squares, by column
+        let mut most = vec![f32::MIN; columns];
+        for (row, squares) in own.chunks_mut(num[1]).enumerate() {
+            most.fill(f32::MIN);
+            for i in row * stride..rows.min((row + 1) * stride) {
+                let mut j = 0;
+                while j < columns {
+                    let run = self.run(i, j);
+                    for (most, &height) in most[j..].iter_mut().zip(run) {
+                        *most = if height > *most { height } else { *most };
+                    }
+                    j += run.len();
+                }
+            }
+            for (square, heights) in squares.iter_mut().zip(most.chunks(stride)) {
+                *square = heights.iter().copied().fold(f32::MIN, f32::max);
             }
         }
         let around = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
@@ -207,25 +227,17 @@ impl HeightGrid {
     /// Without branches in its arithmetic, so that it runs in lanes and the loads of all places are
     /// under way together.
     #[inline(always)]
-    fn sample_group<const N: usize>(&self, x: &[f32; N], y: &[f32; N], n: usize, found: &mut Samples<N>) {
-        let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
-        let columns = self.columns as u32;
-        for k in 0..N {
-            let (i, in_x) = Self::split((x[k] - self.origin[0]) / self.cell, self.size[0]);
-            let (j, in_y) = Self::split((y[k] - self.origin[1]) / self.cell, self.size[1]);
-            let page = (i / PAGE as u32) * columns + j / PAGE as u32;
-            at[k] = page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32;
-            (u[k], v[k]) = (in_x, in_y);
+    fn sample_group(&self, x: &[f32; GROUP], y: &[f32; GROUP], n: usize, found: &mut Samples) {
+        let (mut at, mut u, mut v) = ([0u32; GROUP], [0.0f32; GROUP], [0.0f32; GROUP]);
+        for k in 0..GROUP {
+            (at[k], u[k], v[k]) = self.cell_below(x[k], y[k]);
         }
         // two corners at a time
-        let (mut near, mut far) = ([[0.0f32; 2]; N], [[0.0f32; 2]; N]);
+        let (mut near, mut far) = ([[0.0f32; 2]; GROUP], [[0.0f32; 2]; GROUP]);
         for k in 0..n {
-            // the four corners of a cell lie in one page
-            let page = &self.points[at[k] as usize..][..EDGE + 2];
-            near[k] = [page[0], page[1]];
-            far[k] = [page[EDGE], page[EDGE + 1]];
+            (near[k], far[k]) = self.corners(at[k]);
         }
-        for k in 0..N {
+        for k in 0..GROUP {
             let ([a, b], [c, d]) = (near[k], far[k]);
             let first = u[k] > v[k];
             let along_x = if first { c - a } else { d - b };
@@ -235,6 +247,24 @@ impl HeightGrid {
             (found.place[0][k], found.place[1][k]) = (u[k], v[k]);
             (found.near[0][k], found.near[1][k], found.far[0][k], found.far[1][k]) = (a, b, c, d);
         }
+    }
+
+    /// Where the first corner of the cell below a place is kept, and where in the cell the place
+    /// is, 0 to 1 along x and y.
+    #[inline(always)]
+    fn cell_below(&self, x: f32, y: f32) -> (u32, f32, f32) {
+        let (i, u) = Self::split((x - self.origin[0]) / self.cell, self.size[0]);
+        let (j, v) = Self::split((y - self.origin[1]) / self.cell, self.size[1]);
+        let page = (i / PAGE as u32) * self.columns as u32 + j / PAGE as u32;
+        (page * PAGE_POINTS as u32 + (i % PAGE as u32) * EDGE as u32 + j % PAGE as u32, u, v)
+    }
+
+    /// Heights of the corners of a cell at its smaller and its larger x, by y, m.
+    #[inline(always)]
+    fn corners(&self, at: u32) -> ([f32; 2], [f32; 2]) {
+        // the four corners of a cell lie in one page
+        let page = &self.points[at as usize..][..EDGE + 2];
+        ([page[0], page[1]], [page[EDGE], page[EDGE + 1]])
     }
 
     /// Heights below places, m, as many as there is room for.
@@ -257,12 +287,27 @@ impl HeightGrid {
         self.heights_below(&x, &y, heights);
     }
 
-    /// Heights below the first of a group of places, m, as many as there is room for.
+    /// Heights below the first of a group of places, m, as many as there is room for. The loops of
+    /// [`sample_group`](Self::sample_group), with nothing kept but heights.
     #[inline(always)]
     pub fn heights_below<const N: usize>(&self, x: &[f32; N], y: &[f32; N], heights: &mut [f32]) {
-        let mut found = Samples::<N>::zeros();
-        self.sample_group(x, y, heights.len(), &mut found);
-        heights.copy_from_slice(&found.height[..heights.len()]);
+        let (mut at, mut u, mut v) = ([0u32; N], [0.0f32; N], [0.0f32; N]);
+        for k in 0..N {
+            (at[k], u[k], v[k]) = self.cell_below(x[k], y[k]);
+        }
+        let (mut near, mut far) = ([[0.0f32; 2]; N], [[0.0f32; 2]; N]);
+        for k in 0..heights.len() {
+            (near[k], far[k]) = self.corners(at[k]);
+        }
+        let mut found = [0.0f32; N];
+        for k in 0..N {
+            let ([a, b], [c, d]) = (near[k], far[k]);
+            let first = u[k] > v[k];
+            let along_x = if first { c - a } else { d - b };
+            let along_y = if first { d - c } else { b - a };
+            found[k] = a + along_x * u[k] + along_y * v[k];
+        }
+        heights.copy_from_slice(&found[..heights.len()]);
     }
 
     /// The cell of a coordinate in cells, and where in it; the first cell for a NaN.
@@ -287,22 +332,22 @@ impl HeightGrid {
 }
 
 /// Samples below a group of places: heights, and rises from one point to the next along x and y, m.
-struct Samples<const N: usize> {
-    height: [f32; N],
-    along_x: [f32; N],
-    along_y: [f32; N],
+struct Samples {
+    height: [f32; GROUP],
+    along_x: [f32; GROUP],
+    along_y: [f32; GROUP],
     /// Where in its cell each place is, 0 to 1 along x and y.
-    place: [[f32; N]; 2],
+    place: [[f32; GROUP]; 2],
     /// Heights of the cell's corners at its smaller x, by y.
-    near: [[f32; N]; 2],
+    near: [[f32; GROUP]; 2],
     /// Heights of the cell's corners at its larger x, by y.
-    far: [[f32; N]; 2],
+    far: [[f32; GROUP]; 2],
 }
 
-impl<const N: usize> Samples<N> {
+impl Samples {
     #[inline(always)]
     fn zeros() -> Self {
-        let zeros = [0.0; N];
+        let zeros = [0.0; GROUP];
         Self { height: zeros, along_x: zeros, along_y: zeros, place: [zeros; 2], near: [zeros; 2], far: [zeros; 2] }
     }
 }
@@ -334,7 +379,7 @@ fn whole(x: f32) -> u32 {
 struct Below<'a>(&'a HeightGrid);
 
 impl Table<2> for Below<'_> {
-    type Found = Samples<GROUP>;
+    type Found = Samples;
 
     #[inline(always)]
     fn look_up(&self, [x, y]: &[[f32; GROUP]; 2], lanes: usize) -> Self::Found {
@@ -359,7 +404,7 @@ impl Table<3> for Bounds<'_> {
 impl<S: Real> Terrain<'_, S> {
     /// Samples below places of the envs.
     #[inline(always)]
-    fn sample(&self, x: S, y: S) -> Samples<GROUP> {
+    fn sample(&self, x: S, y: S) -> Samples {
         S::gather(&Below(self.grid), [x + self.origin[0], y + self.origin[1]])
     }
 
@@ -462,6 +507,50 @@ mod tests {
                 assert!((gap - (exact - 0.02)).abs() < 2e-6, "{what}, not {}", exact - 0.02);
                 assert!((normal[0] - from[0] / exact).abs() < 1e-4 && normal[1].abs() < 1e-6, "{what}");
                 assert!((normal[2] - from[1] / exact).abs() < 1e-4, "{what}");
+            }
+        }
+    }
+
+    /// An uneven grid of three by two pages, the last ones of each row in part.
+    fn uneven() -> HeightGrid {
+        let mut grid = HeightGrid::level([-1.0, 0.5], CELL, [70, 41], 0.0);
+        for i in 0..70 {
+            (0..41).for_each(|j| grid.set_height(i, j, ((i * 31 + j * 17) % 97) as f32 * 0.01 - 0.4));
+        }
+        grid
+    }
+
+    #[test]
+    fn heights_of_many_places_are_those_of_each() {
+        let grid = uneven();
+        let x: [f32; 59] = std::array::from_fn(|k| -1.2 + 0.037 * k as f32);
+        let y: [f32; 59] = std::array::from_fn(|k| 1.7 - 0.023 * k as f32);
+        for count in [1, 15, 16, 17, 32, 58, 59] {
+            let (mut below, mut at) = ([0.0; 59], [0.0; 59]);
+            grid.heights_below(&x, &y, &mut below[..count]);
+            grid.heights_at(x.iter().zip(&y).map(|(x, y)| [*x, *y]), &mut at[..count]);
+            for k in 0..count {
+                let (height, _) = grid.sample(x[k], y[k]);
+                assert!(height.to_bits() == below[k].to_bits() && below[k] == at[k], "{k} of {count}");
+            }
+            assert!(below[count..].iter().chain(&at[count..]).all(|height| *height == 0.0));
+        }
+    }
+
+    #[test]
+    fn squares_know_the_highest_point_in_them_and_around_them() {
+        let grid = uneven();
+        for stride in [1, 3, 8, 32, 33, 100] {
+            let squares = grid.squares_of(stride);
+            for a in 0..squares.num[0] {
+                for b in 0..squares.num[1] {
+                    let around = |at: usize, axis: usize| {
+                        at.saturating_sub(1) * stride..((at + 2) * stride).min(grid.size[axis])
+                    };
+                    let points = around(a, 0).flat_map(|i| around(b, 1).map(move |j| (i, j)));
+                    let most = points.map(|(i, j)| grid.height(i, j)).fold(f32::MIN, f32::max);
+                    assert_eq!(squares.highest[a * squares.num[1] + b], most, "{stride}: {a}, {b}");
+                }
             }
         }
     }

@@ -279,8 +279,8 @@ impl<L: Kernels, F: RowFamily> RowEngine<F> for Packs<L, F::Number> {
                     }
                     let broken = if run.watched[morphology] { pack.first_broken(run.limits, lanes) } else { None };
                     let record = rows.record(broken, morphology, first_env + first, |rows| pack.scatter(rows, lanes));
-                    for (lane, &row) in lanes.iter().enumerate() {
-                        keys[row] = bits.key(&pack.report.demands, lane);
+                    for (&row, key) in lanes.iter().zip(bits.keys(&pack.report.demands)) {
+                        keys[row] = key;
                     }
                     if let Some(record) = record {
                         found.lock().unwrap_or_else(PoisonError::into_inner).push(record);

@@ -5,7 +5,7 @@
 //! again in every control step by the demands of the one before. A robot's motion depends neither
 //! on its lane nor on its neighbours.
 
-use crate::dynamics::lanes::Real;
+use crate::dynamics::lanes::{MOST_LANES, Real};
 use crate::robot::BodyGroup;
 
 /// Bits of the sort key for each demand of a robot, in the order of
@@ -39,10 +39,16 @@ impl DemandBits {
         Self(bits)
     }
 
-    /// The key of the robot in a lane.
-    pub(super) fn key<L: Real>(&self, demands: &[L], lane: usize) -> u32 {
-        let bits = self.0.iter().zip(demands).map(|(bit, demand)| bit * u32::from(demand.lane_f32(lane) > 0.0));
-        bits.fold(0, |key, bit| key | bit)
+    /// The keys of the robots in a pack's lanes.
+    pub(super) fn keys<L: Real>(&self, demands: &[L]) -> [u32; MOST_LANES] {
+        let (mut keys, mut asked) = ([0; MOST_LANES], [0.0; MOST_LANES]);
+        for (&bit, demand) in self.0.iter().zip(demands) {
+            demand.store(&mut asked);
+            for lane in 0..MOST_LANES {
+                keys[lane] |= if asked[lane] > 0.0 { bit } else { 0 };
+            }
+        }
+        keys
     }
 }
 
@@ -94,7 +100,7 @@ mod tests {
                 None => demand == 3,
             };
             let demands: Vec<f32> = (0..10).map(|demand| f32::from(u8::from(asks(demand)))).collect();
-            bits.key(&demands, 0)
+            bits.keys(&demands)[0]
         };
         let keys: Vec<u32> = (0..43).map(key).collect();
         let mut pack_ordering = PackOrder::default();

@@ -76,6 +76,7 @@ impl<L: Lanes> Pack<L> {
         self.presses.fill(false);
         self.state.pressing.clear();
         clear_drive(&mut self.drive);
+        order.iter().for_each(|&row| rows.prefetch_read(row));
         for lane in 0..L::LANES {
             let row = order[lane.min(order.len() - 1)];
             self.read_row(rows, row, lane);
@@ -155,6 +156,7 @@ impl<L: Lanes> Pack<L> {
 
     /// Writes the lanes to rows.
     pub(super) fn scatter(&self, rows: &mut impl RobotRows, order: &[usize]) {
+        order.iter().for_each(|&row| rows.prefetch_written(row));
         for (lane, &row) in order.iter().enumerate() {
             self.write_row(rows, row, lane);
         }
