@@ -170,9 +170,9 @@ class Arguments(ctypes.Structure):
     """`Block` of `crates/cuda/device/step.cu`."""
 
     _fields_ = [
-        *((name, ctypes.c_uint64) for name in ("integers", "numbers", "parameters", "drive", "state")),
-        *((name, ctypes.c_uint64) for name in ("report", "host", "grid", "work", "work_integers")),
-        *((name, ctypes.c_int) for name in ("robots", "shared", "capacity", "first", "end", "warp")),
+        *((name, ctypes.c_uint64) for name in ("integers", "numbers", "parameters", "common", "drive", "state")),
+        *((name, ctypes.c_uint64) for name in ("report", "host", "grid", "work", "work_integers", "ended", "done")),
+        *((name, ctypes.c_int) for name in ("robots", "own", "capacity", "first", "end", "warp", "number")),
     ]
 
 
@@ -187,17 +187,17 @@ class Robots:
     def __init__(self, device: Device, arrays: Arrays, copies: int = 1) -> None:
         """Uploads them."""
         self.device, self.arrays, self.copies = device, arrays, copies
-        envs, shared, work, work_integers, steps, steps_of_drive, self.capacity = (int(x) for x in arrays["sizes"])
+        envs, own, work, work_integers, steps, steps_of_drive, self.capacity = (int(x) for x in arrays["sizes"])
         self.steps, self.steps_of_drive = steps, steps_of_drive
         self.envs, self.robots = envs, envs * copies
         self.sizes = {name: arrays[f"last.{name}"].size // envs for name in ("state", "report")}
-        parameters = arrays["parameters"] if shared else self.tiles(arrays["parameters"])
         drives = [arrays[f"drive.{k}"] for k in range(-(-self.steps // self.steps_of_drive))]
         self.drives = [device.place(self.tiles(drive)) for drive in drives]
         self.pointers = {
             "integers": device.place(arrays["integers"]),
             "numbers": device.place(arrays["numbers"]),
-            "parameters": device.place(parameters),
+            "parameters": device.place(self.tiles(arrays["parameters"])),
+            "common": device.place(arrays["common"]),
             "state": device.place(self.tiles(arrays["state"])),
             "grid": device.place(arrays["grid"]),
             "report": device.allocate(self.sizes["report"] * self.robots),
@@ -205,7 +205,7 @@ class Robots:
             "work_integers": device.allocate(work_integers * self.robots),
         }
         self.words = {"work": work + work_integers, "integers": arrays["integers"].size, **self.sizes}
-        self.arguments = Arguments(robots=self.robots, shared=shared, capacity=self.capacity)
+        self.arguments = Arguments(robots=self.robots, own=own, capacity=self.capacity)
         for name, pointer in self.pointers.items():
             setattr(self.arguments, name, pointer.value)
 

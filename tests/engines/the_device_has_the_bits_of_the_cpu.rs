@@ -14,12 +14,20 @@ use polypod_cuda_host::Host;
 
 use crate::common::{ROBOTS, assert_all_same, busy, ended, size, sprung, step, turning};
 
-/// A host that fails in a control step.
+/// A host that fails after some control steps of blocks. Every second block is back late: the first
+/// question after a start is answered with no.
+#[derive(Default)]
 struct Failing {
     left: Arc<AtomicUsize>,
+    blocks: AtomicUsize,
 }
 
-struct FailingBlock(Box<dyn DeviceBlock>, Arc<AtomicUsize>);
+struct FailingBlock {
+    block: Box<dyn DeviceBlock>,
+    left: Arc<AtomicUsize>,
+    is_late: bool,
+    asked: bool,
+}
 
 impl Device for Failing {
     fn name(&self) -> &str {
@@ -27,32 +35,43 @@ impl Device for Failing {
     }
 
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
-        Ok(Box::new(FailingBlock(Host.allocate(shape)?, self.left.clone())))
+        let is_late = self.blocks.fetch_add(1, Ordering::Relaxed) % 2 == 1;
+        Ok(Box::new(FailingBlock { block: Host.allocate(shape)?, left: self.left.clone(), is_late, asked: false }))
     }
 }
 
 impl DeviceBlock for FailingBlock {
     fn shape(&self) -> &Shape {
-        self.0.shape()
+        self.block.shape()
     }
 
     fn exchange(&mut self) -> Exchange<'_> {
-        self.0.exchange()
+        self.block.exchange()
     }
 
-    fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError> {
-        self.0.set_parameters(all, shared, changed)
+    fn set_parameters(
+        &mut self,
+        common: &[f32],
+        own: u32,
+        tiles: &[f32],
+        changed: &[usize],
+    ) -> Result<(), DeviceError> {
+        self.block.set_parameters(common, own, tiles, changed)
     }
 
     fn start(&mut self) -> Result<(), DeviceError> {
-        self.0.start()
+        self.asked = false;
+        self.block.start()
     }
 
-    fn finish(&mut self) -> Result<(), DeviceError> {
-        let lost = DeviceError::Call { call: "finish", text: "lost".into() };
-        let left = self.1.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+    fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError> {
+        if self.is_late && !std::mem::replace(&mut self.asked, true) {
+            return Ok(None);
+        }
+        let lost = DeviceError::Call { call: "contacts_if_done", text: "lost".into() };
+        let left = self.left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
         left.map_err(|_| lost)?;
-        self.0.finish()
+        self.block.contacts_if_done()
     }
 }
 
@@ -196,10 +215,12 @@ fn a_snapshot_of_one_side_goes_on_on_the_other() {
 fn a_card_that_is_lost_costs_no_step() {
     let options = busy(&["unitree_a1", "spot"], 36);
     let mut cpu = Sim::new(&options).unwrap();
-    // two blocks a step: the card fails in the eleventh step, with the second block
+    // two blocks a step: the card fails in the eleventh step, with the second block, which is late:
+    // the components of the first one are written by then
     let left = Arc::new(AtomicUsize::new(21));
     let device = left.clone();
-    let mut lost = sim_on(options, move || Ok(Arc::new(Failing { left: device.clone() }))).unwrap();
+    let mut lost =
+        sim_on(options, move || Ok(Arc::new(Failing { left: device.clone(), ..Failing::default() }))).unwrap();
     for t in 0..30 {
         step(&mut cpu, t);
         step(&mut lost, t);
@@ -216,7 +237,9 @@ fn engines_that_take_turns_make_the_steps_of_one() {
     // a count for each block of a step: what is left says how many the device made
     let left = Arc::new(AtomicUsize::new(1000));
     let device = left.clone();
-    let open = move || -> Result<Arc<dyn Device>, DeviceError> { Ok(Arc::new(Failing { left: device.clone() })) };
+    let open = move || -> Result<Arc<dyn Device>, DeviceError> {
+        Ok(Arc::new(Failing { left: device.clone(), ..Failing::default() }))
+    };
     let mut both = sim_with(options.clone(), "auto", OnDevice::if_faster(open)).unwrap();
     let no_card = || Err(DeviceError::NoDriver);
     let mut without = sim_with(options, "auto", OnDevice::if_faster(no_card)).unwrap();

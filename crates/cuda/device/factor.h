@@ -3,12 +3,16 @@
 #define POLYPOD_FACTOR_H
 #include "tables.h"
 
-/* The mass matrix's row of the joint at a place of a block, from the composite inertia of its link. */
-FN void set_joint(Robot *a, int b, int place, const float *inertia, const float *own_axis, float armature) {
+/* The mass matrix's row of joint j at a place of a block, from the composite inertia of its link, with its
+ * armature, its damping, and the implicit shares of springs and actuators. */
+FN void set_joint(Robot *a, int b, int place, int j, const float *inertia, const float *own_axis) {
     int block = BLOCK_AT(b), own = FACTOR(b), carriers = L(block + 4);
     float axis[6], force[6];
     momentum(inertia, own_axis, force);
-    W(own + place) = dot6(own_axis, force) + armature;
+    float dt = TC(DT), slope = W(T(W_SLOPE) + j) + P(P_JOINT_DAMPING, j);
+    float diagonal = fma_(slope, dt, dot6(own_axis, force) + P(P_ARMATURE, j));
+    if (T(HAS_SPRINGS)) diagonal = fma_(P(P_SPRING, 2 * j), dt * dt * TC(SPRING_STIFFNESS), diagonal);
+    W(own + place) = diagonal;
     for (int t = 0; t < place; t++) {
         w_load(a, LINK(L(block + t) + 1) + LINK_AXIS, 6, axis);
         W(own + FACTOR_INNER + place + t - 1) = dot6(axis, force);
@@ -63,10 +67,9 @@ FN float split(float pivot, float *root) {
     return root[1] * root[1];
 }
 
-/* Turns the mass matrix held in place into its factors. */
-FN void factorise(Robot *a) {
-    float *g = a->g;
-    TREES_OF(tree) INWARD(tree, place) {
+/* Turns a tree's part of the mass matrix, held in place, into its factors. */
+FN void factorise_tree(Robot *a, int tree) {
+    INWARD(tree, place) {
         int b = TREE_BLOCK(tree, place), block = BLOCK_AT(b), own = FACTOR(b);
         int carriers = L(block + 4), first = L(block + 6);
         float d[3], m[3], root[6], base[18];
@@ -131,7 +134,11 @@ FN void factorise(Robot *a) {
         for (int k = 0; k < 18; k++) base[k] = base[k] * inverse[k / 6];
         w_store(a, own + FACTOR_BASE, 18, base);
     }
-    SYNC;
+}
+
+/* Turns the base's part of the mass matrix into its factors, after those of the trees. */
+FN void factorise_base(Robot *a) {
+    float *g = a->g;
     ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
         float base[18], x[18];
         w_load(a, FACTOR(b) + FACTOR_RAW, 18, base);
@@ -161,15 +168,16 @@ FN void base_forward(const Robot *a, float *b) {
         for (int r = k + 1; r < 6; r++) b[r] = nfma(a->g[6 * r + k], b[k], b[r]);
 }
 
-/* H^-T b: the half solve of a generalised force; `joints` are columns, [blocks], which are then to be
- * multiplied by the inverse roots. */
-FN void half_solve_force(Robot *a, float *base, int joints) {
-    TREES_OF(tree) INWARD(tree, k) {
-        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), x = joints + 3 * b;
+/* H^-T b and H u of a tree's joints: the half solve of the generalised force in the columns `force`,
+ * [blocks], which is then to be multiplied by the inverse roots; and the velocity in the columns `joints`
+ * in the coordinates in which constraint rows are sparse, for that of the base. Their sum goes to `moved`. */
+FN void solve_tree(Robot *a, int tree, const float *base, int force, int joints, int moved) {
+    INWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), x = force + 3 * b, at = joints + 3 * b;
         float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
         float x2 = W(x + 2), x1 = nfma(l21, x2, W(x + 1)), x0 = nfma(l10, x1, nfma(l20, x2, W(x)));
         ROLLED for (int c = 0; c < L(block + 4); c++) {
-            int l = COUPLING(L(block + 6) + c), on = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
+            int l = COUPLING(L(block + 6) + c), on = force + 3 * L(L(block + 5) + c * CARRIER_SIZE);
             for (int t = 0; t < BLOCK; t++) {
                 float y = nfma(W(l + 6 + t), x2, W(on + t));
                 W(on + t) = nfma(W(l + t), x0, nfma(W(l + 3 + t), x1, y));
@@ -177,57 +185,60 @@ FN void half_solve_force(Robot *a, float *base, int joints) {
         }
         W(x) = x0;
         W(x + 1) = x1;
-        W(x + 2) = x2;
+        float u0 = W(at), u1 = W(at + 1), u2 = W(at + 2), solved[3] = {x0, x1, x2};
+        float u[3] = {u0, fma_(l10, u0, u1), fma_(l21, u1, fma_(l20, u0, u2))};
+        ROLLED for (int c = 0; c < L(block + 4); c++) {
+            int l = COUPLING(L(block + 6) + c), from = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
+            for (int s = 0; s < BLOCK; s++)
+                for (int t = 0; t < BLOCK; t++) u[s] = fma_(W(l + 3 * s + t), W(from + t), u[s]);
+        }
+        for (int s = 0; s < BLOCK; s++) {
+            for (int r = 0; r < 6; r++) u[s] = fma_(W(own + FACTOR_BASE + 6 * s + r), base[r], u[s]);
+            float sparse = u[s] * W(ROOT(b) + 2 * s);
+            W(at + s) = sparse;
+            W(moved + 3 * b + s) = sparse + solved[s] * W(ROOT(b) + 2 * s + 1);
+        }
     }
-    SYNC;
+}
+
+/* The base's part of the half solve, after the trees. */
+FN void half_solve_base(Robot *a, float *base, int force) {
     ROLLED for (int b = T(BLOCKS) - 1; b >= 0; b--) {
         int on = FACTOR(b) + FACTOR_BASE;
         float x[3];
-        w_load(a, joints + 3 * b, 3, x);
+        w_load(a, force + 3 * b, 3, x);
         for (int r = 0; r < 6; r++) {
             float y = nfma(W(on + 12 + r), x[2], base[r]);
             base[r] = nfma(W(on + r), x[0], nfma(W(on + 6 + r), x[1], y));
         }
     }
-    SYNC;
     if (T(FLOATING)) base_forward(a, base);
     for (int r = 0; r < 6; r++) base[r] = base[r] * a->root[2 * r + 1];
 }
 
-/* H u: a velocity in the coordinates in which constraint rows are sparse. */
-FN void to_sparse(Robot *a, float *base, int joints) {
-    TREES_OF(tree) INWARD(tree, k) {
-        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
-        float l10 = W(own + FACTOR_INNER), l20 = W(own + FACTOR_INNER + 1), l21 = W(own + FACTOR_INNER + 2);
-        float x0 = W(at), x1 = W(at + 1), x2 = W(at + 2);
-        float x[3] = {x0, fma_(l10, x0, x1), fma_(l21, x1, fma_(l20, x0, x2))};
-        ROLLED for (int c = 0; c < L(block + 4); c++) {
-            int l = COUPLING(L(block + 6) + c), from = joints + 3 * L(L(block + 5) + c * CARRIER_SIZE);
-            for (int s = 0; s < BLOCK; s++)
-                for (int t = 0; t < BLOCK; t++) x[s] = fma_(W(l + 3 * s + t), W(from + t), x[s]);
-        }
-        for (int s = 0; s < BLOCK; s++) {
-            for (int r = 0; r < 6; r++) x[s] = fma_(W(own + FACTOR_BASE + 6 * s + r), base[r], x[s]);
-            W(at + s) = x[s] * W(ROOT(b) + 2 * s);
-        }
-    }
+/* The base's part of H u. */
+FN void to_sparse_base(const Robot *a, float *base) {
     if (T(FLOATING))
         for (int k = 0; k < 5; k++)
             for (int r = k + 1; r < 6; r++) base[k] = fma_(a->g[6 * r + k], base[r], base[k]);
     for (int r = 0; r < 6; r++) base[r] = base[r] * a->root[2 * r];
 }
 
-/* H^-1 y: the inverse of to_sparse. */
-FN void to_dense(Robot *a, float *base, int joints) {
+/* H^-1 y, the velocity of a sparse one: first the base's part. */
+FN void to_dense_base(const Robot *a, float *base) {
     for (int r = 0; r < 6; r++) base[r] = base[r] * a->root[2 * r + 1];
     if (T(FLOATING))
         for (int k = 5; k >= 0; k--)
             for (int r = k + 1; r < 6; r++) base[k] = nfma(a->g[6 * r + k], base[r], base[k]);
-    TREES_OF(tree) OUTWARD(tree, k) {
+}
+
+/* Then a tree's joints, from the columns `sparse` to the columns `joints`. */
+FN void to_dense_tree(Robot *a, int tree, const float *base, int sparse, int joints) {
+    OUTWARD(tree, k) {
         int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), own = FACTOR(b), at = joints + 3 * b;
         float x[3];
         for (int s = 0; s < BLOCK; s++) {
-            x[s] = W(at + s) * W(ROOT(b) + 2 * s + 1);
+            x[s] = W(sparse + 3 * b + s) * W(ROOT(b) + 2 * s + 1);
             for (int r = 0; r < 6; r++) x[s] = nfma(W(own + FACTOR_BASE + 6 * s + r), base[r], x[s]);
         }
         ROLLED for (int c = 0; c < L(block + 4); c++) {

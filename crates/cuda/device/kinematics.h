@@ -52,7 +52,7 @@ FN void place_base(Robot *a, const float *velocity) {
 FN void place_link(Robot *a, int j, float *r, float *x, float *v, float *axis) {
     int parent = L(T(T_JOINT) + j * JOINT_SIZE), to = LINK(j + 1);
     float offset[3], t[3], position = S(T(S_JOINT) + j), velocity = S(T(S_JOINT_VELOCITY) + j);
-    p_load(a, T(P_OFFSET) + 3 * j, 3, offset);
+    p_load(a, P_OFFSET, 3 * j, 3, offset);
     if (parent == 0) {
         copy(x, offset, 3);
     } else {
@@ -95,15 +95,18 @@ FN void forward_kinematics(Robot *a, const float *base_velocity) {
     SYNC;
 }
 
-/* Sets the links' free velocities to those that the joint velocities in W_RHS give them. */
-FN void free_links(Robot *a) {
-    TREES_OF(tree) OUTWARD(tree, k) {
+/* Sets the free velocities of a tree's links to those that the joint velocities in W_RHS give them. */
+FN void free_links(Robot *a, int tree) {
+    OUTWARD(tree, k) {
         int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
-        ROLLED for (int place = 0; place < L(block + 3); place++) {
-            int j = L(block + place), from = LINK(L(T(T_JOINT) + j * JOINT_SIZE)), to = LINK(j + 1);
+        float free[6];
+        w_load(a, LINK(L(T(T_JOINT) + L(block) * JOINT_SIZE)) + LINK_FREE, 6, free);
+        for (int place = 0; place < BLOCK; place++) {
+            if (place >= L(block + 3)) continue;
+            int to = LINK(L(block + place) + 1);
             float velocity = W(T(W_RHS) + 3 * b + place);
-            for (int i = 0; i < 6; i++)
-                W(to + LINK_FREE + i) = fma_(W(to + LINK_AXIS + i), velocity, W(from + LINK_FREE + i));
+            for (int i = 0; i < 6; i++) free[i] = fma_(W(to + LINK_AXIS + i), velocity, free[i]);
+            w_store(a, to + LINK_FREE, 6, free);
         }
     }
 }
@@ -130,63 +133,68 @@ FN void link_dynamics(Robot *a, int at, float mass, const float *com, const floa
 
 #define DYNAMICS(link) (T(W_DYNAMICS) + (link) * DYNAMICS_SIZE)
 
-/* Positions, axes and velocities of all links, bias forces and the mass matrix: each tree from the base
- * to the leaves and back, then the base. `gravity` is in base axes. */
-FN void equations_of_motion(Robot *a, const float *gravity) {
-    float velocity[6] = {0}, acceleration[6] = {0}, com[3], inertia[6], r[9], x[3], whole[TREE_SIZE];
-    if (IS_FIRST(a)) {
-        s_load(a, T(S_ANGULAR), 3, velocity);
-        place_base(a, velocity);
-        scale(gravity, -1.0f, acceleration + 3);
-        p_load(a, T(P_COM), 3, com);
-        p_load(a, T(P_INERTIA), 6, inertia);
-        link_dynamics(a, DYNAMICS(0), P(T(P_MASS)), com, inertia, velocity, acceleration);
-    }
-    SYNC;
-    TREES_OF(tree) {
-        OUTWARD(tree, k) {
-            int block = BLOCK_AT(TREE_BLOCK(tree, k)), len = L(block + 3);
-            int parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
-            load_link(a, parent, r, x, velocity);
-            w_load(a, DYNAMICS(parent), 6, acceleration);
-            /* the joints of a block carry each other */
-            ROLLED for (int place = 0; place < len; place++) {
-                int j = L(block + place);
-                float axis[6], relative[6], product[6], local[6], v = S(T(S_JOINT_VELOCITY) + j);
-                place_link(a, j, r, x, velocity, axis);
-                for (int i = 0; i < 6; i++) relative[i] = axis[i] * v;
-                cross_motion(velocity, relative, product);
-                for (int i = 0; i < 6; i++) acceleration[i] = acceleration[i] + product[i];
-                p_load(a, T(P_COM) + 3 * (j + 1), 3, local);
-                mul_vec(r, local, com);
-                add(x, com, com);
-                p_load(a, T(P_INERTIA) + 6 * (j + 1), 6, local);
-                rotate_sym(r, local, inertia);
-                link_dynamics(a, DYNAMICS(j + 1), P(T(P_MASS) + j + 1), com, inertia, velocity, acceleration);
-            }
-        }
-        INWARD(tree, k) {
-            int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
-            float carried[TREE_SIZE];
-            for (int i = 0; i < 16; i++) carried[i] = 0.0f;
-            ROLLED for (int place = L(block + 3) - 1, last = place; place >= 0; place--) {
-                int j = L(block + place), own = DYNAMICS(j + 1) + DYNAMICS_INERTIA;
-                float axis[6], composite[16];
-                w_load(a, own, 16, composite);
-                for (int i = 0; i < 16; i++) carried[i] = place < last ? composite[i] + carried[i] : composite[i];
-                w_load(a, LINK(j + 1) + LINK_AXIS, 6, axis);
-                set_joint(a, b, place, carried, axis, P(T(P_ARMATURE) + j));
-                W(T(W_BIAS) + j) = dot6(axis, carried + 10);
-            }
-            /* the base's first block is the last one of its tree */
-            if (parent == 0)
-                w_store(a, T(W_TREE) + TREE_SIZE * tree, TREE_SIZE, carried);
-            else
-                for (int i = 0, at = DYNAMICS(parent) + DYNAMICS_INERTIA; i < 16; i++) W(at + i) = W(at + i) + carried[i];
-            set_empty_places(a, b);
+/* The base's part of the equations of motion before the trees'. `gravity` is in base axes. */
+FN void begin_motion(Robot *a, const float *gravity) {
+    float velocity[6] = {0}, acceleration[6] = {0}, com[3], inertia[6];
+    if (!IS_FIRST(a)) return;
+    s_load(a, T(S_ANGULAR), 3, velocity);
+    place_base(a, velocity);
+    scale(gravity, -1.0f, acceleration + 3);
+    p_load(a, P_COM, 0, 3, com);
+    p_load(a, P_INERTIA, 0, 6, inertia);
+    link_dynamics(a, DYNAMICS(0), P(P_MASS, 0), com, inertia, velocity, acceleration);
+}
+
+/* Positions, axes and velocities of a tree's links, their bias forces and their part of the mass matrix:
+ * from the base to the leaves and back. */
+FN void move_tree(Robot *a, int tree) {
+    OUTWARD(tree, k) {
+        int block = BLOCK_AT(TREE_BLOCK(tree, k)), len = L(block + 3);
+        int parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
+        float velocity[6], acceleration[6], com[3], inertia[6], r[9], x[3];
+        load_link(a, parent, r, x, velocity);
+        w_load(a, DYNAMICS(parent), 6, acceleration);
+        /* the joints of a block carry each other */
+        ROLLED for (int place = 0; place < len; place++) {
+            int j = L(block + place);
+            float axis[6], relative[6], product[6], local[6], v = S(T(S_JOINT_VELOCITY) + j);
+            place_link(a, j, r, x, velocity, axis);
+            for (int i = 0; i < 6; i++) relative[i] = axis[i] * v;
+            cross_motion(velocity, relative, product);
+            for (int i = 0; i < 6; i++) acceleration[i] = acceleration[i] + product[i];
+            p_load(a, P_COM, 3 * (j + 1), 3, local);
+            mul_vec(r, local, com);
+            add(x, com, com);
+            p_load(a, P_INERTIA, 6 * (j + 1), 6, local);
+            rotate_sym(r, local, inertia);
+            link_dynamics(a, DYNAMICS(j + 1), P(P_MASS, j + 1), com, inertia, velocity, acceleration);
         }
     }
-    SYNC;
+    INWARD(tree, k) {
+        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b), parent = L(T(T_JOINT) + L(block) * JOINT_SIZE);
+        float carried[TREE_SIZE];
+        for (int i = 0; i < 16; i++) carried[i] = 0.0f;
+        ROLLED for (int place = L(block + 3) - 1, last = place; place >= 0; place--) {
+            int j = L(block + place), own = DYNAMICS(j + 1) + DYNAMICS_INERTIA;
+            float axis[6], composite[16];
+            w_load(a, own, 16, composite);
+            for (int i = 0; i < 16; i++) carried[i] = place < last ? composite[i] + carried[i] : composite[i];
+            w_load(a, LINK(j + 1) + LINK_AXIS, 6, axis);
+            set_joint(a, b, place, j, carried, axis);
+            W(T(W_BIAS) + j) = dot6(axis, carried + 10);
+        }
+        /* the base's first block is the last one of its tree */
+        if (parent == 0)
+            w_store(a, T(W_TREE) + TREE_SIZE * tree, TREE_SIZE, carried);
+        else
+            for (int i = 0, at = DYNAMICS(parent) + DYNAMICS_INERTIA; i < 16; i++) W(at + i) = W(at + i) + carried[i];
+        set_empty_places(a, b);
+    }
+}
+
+/* The base's part after the trees'. */
+FN void end_motion(Robot *a) {
+    float whole[TREE_SIZE];
     w_load(a, DYNAMICS(0) + DYNAMICS_INERTIA, 16, whole);
     ROLLED for (int tree = T(TREES) - 1; tree >= 0; tree--)
         for (int i = 0; i < 16; i++) whole[i] = whole[i] + W(T(W_TREE) + TREE_SIZE * tree + i);

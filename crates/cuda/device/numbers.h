@@ -12,6 +12,8 @@
 #define KERNEL extern "C" __global__
 /* of loops over parts of a robot: unrolled, the code would not fit into a multiprocessor's cache */
 #define ROLLED _Pragma("unroll 1")
+/* of loops over the joints of a block, whose numbers are in registers */
+#define UNROLLED _Pragma("unroll")
 /* of loops over joints that wait for memory */
 #define BY_THREE _Pragma("unroll 3")
 /* of memory that no robot writes */
@@ -25,10 +27,6 @@
 #define SYNC __syncwarp()
 /* a variable of another thread of the robot */
 #define FROM_LANE(x, lane) __shfl_sync(~0u, x, lane, LANES)
-/* the same among the threads of one robot, in loops in which robots differ */
-#define GROUP_OF_THREAD (((1u << LANES) - 1u) << (threadIdx.x % 32 / LANES * LANES))
-#define GROUP_SYNC(a) __syncwarp((a)->group)
-#define FROM_GROUP(a, x, lane) __shfl_sync((a)->group, x, lane, LANES)
 #else
 #define ALONE
 #endif
@@ -37,6 +35,7 @@
 #include <stddef.h>
 #define FN static inline
 #define ROLLED
+#define UNROLLED
 #define BY_THREE
 #define READ(at) (*(at))
 #define TABLE static const
@@ -48,20 +47,6 @@
 #ifdef ALONE
 #define SYNC
 #define FROM_LANE(x, lane) (x)
-#define GROUP_OF_THREAD 1u
-#define GROUP_SYNC(a)
-#define FROM_GROUP(a, x, lane) ((void)(a), (x))
-#endif
-
-/* threads that share the solver's work on a row: one, or all of the robot */
-#ifndef SOLVERS
-#define SOLVERS 1
-#endif
-#if SOLVERS == 1
-#undef GROUP_SYNC
-#undef FROM_GROUP
-#define GROUP_SYNC(a)
-#define FROM_GROUP(a, x, lane) ((void)(a), (x))
 #endif
 
 /* joints of a block */

@@ -51,7 +51,7 @@ FN void box_links(Robot *a) {
     SHARED_OUT(link, T(JOINTS) + 1) {
         if (L(T(T_LINK_COLLIDERS) + 2 * link) == 0) continue;
         float box[6], r[9], x[3], centre[3], extent[3], motion[6], speed = 0.0f;
-        p_load(a, T(P_LINK_BOX) + 6 * link, 6, box);
+        p_load(a, P_LINK_BOX, 6 * link, 6, box);
         w_load(a, LINK(link), 9, r);
         w_load(a, LINK(link) + LINK_POSITION, 3, x);
         mul_vec(r, box, centre);
@@ -76,11 +76,11 @@ FN void box_links(Robot *a) {
 /* Puts a collider where its link is. */
 FN void place_collider(Robot *a, int c) {
     int link = COLLIDER_LINK(c), to = PLACED(c);
-    float r[9], x[3], centre[3], half[3], extent[3], rotation[9], radius = P(T(P_COLLIDER_RADIUS) + c);
+    float r[9], x[3], centre[3], half[3], extent[3], rotation[9], radius = P(P_COLLIDER_RADIUS, c);
     w_load(a, LINK(link), 9, r);
     w_load(a, LINK(link) + LINK_POSITION, 3, x);
-    p_load(a, T(P_COLLIDER_CENTRE) + 3 * c, 3, centre);
-    p_load(a, T(P_COLLIDER_HALF) + 3 * c, 3, half);
+    p_load(a, P_COLLIDER_CENTRE, 3 * c, 3, centre);
+    p_load(a, P_COLLIDER_HALF, 3 * c, 3, half);
     mul_vec(r, centre, centre);
     add(x, centre, centre);
     if (IS_BOX(c)) {

@@ -20,89 +20,60 @@ FN Path path_of(const Robot *a, int path) {
 /* where the velocities of the block of a part are */
 #define PLACE(path, p) (BLOCK * L((path).list + (p) * PART_SIZE))
 
-/* The base's part of a sparse velocity, and the numbers of it that this thread brings up to date. */
+/* Three rows in registers: their base parts, and the parts of the first block of their path. */
 typedef struct {
-    float *all, *own;
-} Base;
+    float base[18], own[9];
+} Rows;
 
-FN Base velocity_of(const Robot *a) {
-    Base o = {a->y, a->y_own};
-    return o;
-}
-FN Base moved_of(const Robot *a) {
-    Base o = {a->moved, a->moved_own};
-    return o;
-}
-/* Takes this thread's numbers from all. */
-FN void take_own(const Robot *a, Base y) {
-    for (int r = 0; r < 6; r++)
-        if (SOLVER(a) == r % SOLVERS) y.own[r / SOLVERS] = y.all[r];
-}
-FN void gather(const Robot *a, Base y) {
-    for (int r = 0; r < 6; r++) y.all[r] = FROM_GROUP(a, y.own[r / SOLVERS], r % SOLVERS);
+FN void load_rows(const Robot *a, int row, Rows *z) {
+    w_load(a, row, 18, z->base);
+    w_load(a, row + ROW_OWN, 9, z->own);
 }
 
-/* The place of a thread's k-th number among `count`; spare threads repeat the last one. */
-FN int own_place(const Robot *a, int k, int count) {
-    int i = SOLVER(a) + k * SOLVERS;
-    return i < count ? i : count - 1;
-}
-
-/* Velocities of three rows. Each thread finds its share. */
-FN void velocities(const Robot *a, int row, int further, Path path, int units, Base y, int joints, float *w) {
-    float own[OWN(3)], v[3];
+/* Velocities of three rows. */
+FN void velocities(const Robot *a, const Rows *z, int further, Path path, int units, const float *y, int joints,
+                   float *w) {
+    float v[3];
     w_load(a, joints + path.place, 3, v);
-    for (int k = 0; k < OWN(3); k++) {
-        int d = own_place(a, k, 3), z = row + ROW_OWN + d;
-        own[k] = W(z) * v[0];
-        for (int s = 1; s < BLOCK; s++) {
-            float next = fma_(W(z + 3 * s), v[s], own[k]);
-            own[k] = units && d < s ? own[k] : next;
-        }
+    for (int d = 0; d < 3; d++) {
+        w[d] = z->own[d] * v[0];
+        for (int s = 1; s < BLOCK; s++)
+            if (!units || d >= s) w[d] = fma_(z->own[3 * s + d], v[s], w[d]);
     }
     ROLLED for (int p = 1; p < path.parts; p++) {
+        int at = further + 9 * (p - 1);
         w_load(a, joints + PLACE(path, p), 3, v);
-        for (int k = 0; k < OWN(3); k++) {
-            int z = further + 9 * (p - 1) + own_place(a, k, 3);
-            for (int s = 0; s < BLOCK; s++) own[k] = fma_(W(z + 3 * s), v[s], own[k]);
-        }
+        for (int d = 0; d < 3; d++)
+            for (int s = 0; s < BLOCK; s++) w[d] = fma_(W(at + 3 * s + d), v[s], w[d]);
     }
-    for (int k = 0; k < OWN(3); k++) {
-        float b[6];
-        w_load(a, row + 6 * own_place(a, k, 3), 6, b);
-        float even = fma_(b[4], y.all[4], fma_(b[2], y.all[2], fma_(b[0], y.all[0], own[k])));
-        float odd = fma_(b[5], y.all[5], fma_(b[3], y.all[3], b[1] * y.all[1]));
-        own[k] = even + odd;
+    for (int d = 0; d < 3; d++) {
+        const float *b = z->base + 6 * d;
+        float even = fma_(b[4], y[4], fma_(b[2], y[2], fma_(b[0], y[0], w[d])));
+        float odd = fma_(b[5], y[5], fma_(b[3], y[3], b[1] * y[1]));
+        w[d] = even + odd;
     }
-    for (int d = 0; d < 3; d++) w[d] = FROM_GROUP(a, own[d / SOLVERS], d % SOLVERS);
 }
 
-/* Adds to a sparse velocity what impulses on three rows change. What threads have read of it and of
- * the impulses before they may write afterwards: `gather` waits for all. */
-FN void apply_rows(Robot *a, int row, int further, Path path, int units, const float *impulse, Base y, int joints) {
-    for (int k = 0; k < OWN(6); k++) {
-        int r = own_place(a, k, 6);
-        float x = fma_(W(row + r), impulse[0], y.own[k]);
-        x = fma_(W(row + 6 + r), impulse[1], x);
-        y.own[k] = fma_(W(row + 12 + r), impulse[2], x);
+/* Adds to a sparse velocity what impulses on three rows change. */
+FN void apply_rows(Robot *a, const Rows *z, int further, Path path, int units, const float *impulse, float *y,
+                   int joints) {
+    for (int r = 0; r < 6; r++) {
+        y[r] = fma_(z->base[r], impulse[0], y[r]);
+        y[r] = fma_(z->base[6 + r], impulse[1], y[r]);
+        y[r] = fma_(z->base[12 + r], impulse[2], y[r]);
     }
-    gather(a, y);
-    for (int k = 0; k < OWN(3); k++) {
-        int s = SOLVER(a) + k * SOLVERS, at = joints + path.place + s;
-        if (s >= BLOCK) continue;
+    for (int s = 0; s < BLOCK; s++) {
+        int at = joints + path.place + s;
         float x = W(at);
-        for (int d = 0; d < 3; d++) {
-            float next = fma_(W(row + ROW_OWN + 3 * s + d), impulse[d], x);
-            x = units && d < s ? x : next;
-        }
+        for (int d = 0; d < 3; d++)
+            if (!units || d >= s) x = fma_(z->own[3 * s + d], impulse[d], x);
         W(at) = x;
     }
     ROLLED for (int p = 1; p < path.parts; p++) {
-        for (int k = 0; k < OWN(3); k++) {
-            int s = SOLVER(a) + k * SOLVERS, at = joints + PLACE(path, p) + s, z = further + 9 * (p - 1) + 3 * s;
-            if (s >= BLOCK) continue;
+        for (int s = 0; s < BLOCK; s++) {
+            int at = joints + PLACE(path, p) + s, from = further + 9 * (p - 1) + 3 * s;
             float x = W(at);
-            for (int d = 0; d < 3; d++) x = fma_(W(z + d), impulse[d], x);
+            for (int d = 0; d < 3; d++) x = fma_(W(from + d), impulse[d], x);
             W(at) = x;
         }
     }
@@ -147,7 +118,7 @@ FN void products(const Robot *a, const float *base, const float *own, int furthe
     out[5] = dot6_onto(base + 6, base + 12, product[5]);
 }
 
-/* Velocity of the first of three rows, in each thread. */
+/* Velocity of the first of three rows. */
 FN float first_velocity(const Robot *a, int row, int further, Path path, const float *y_base, int joints) {
     int at = joints + path.place;
     float base[6], w = W(row + ROW_OWN) * W(at);
@@ -162,15 +133,11 @@ FN float first_velocity(const Robot *a, int row, int further, Path path, const f
 }
 
 /* As `apply_rows`, for an impulse on the first row alone. */
-FN void apply_first(Robot *a, int row, int further, Path path, float impulse, Base y, int joints) {
-    for (int k = 0; k < OWN(6); k++) y.own[k] = fma_(W(row + own_place(a, k, 6)), impulse, y.own[k]);
-    gather(a, y);
+FN void apply_first(Robot *a, int row, int further, Path path, float impulse, float *y, int joints) {
+    for (int r = 0; r < 6; r++) y[r] = fma_(W(row + r), impulse, y[r]);
     ROLLED for (int p = 0; p < (path.parts > 0 ? path.parts : 1); p++) {
         int z = p == 0 ? row + ROW_OWN : further + 9 * (p - 1), at = joints + (p == 0 ? path.place : PLACE(path, p));
-        for (int k = 0; k < OWN(3); k++) {
-            int s = SOLVER(a) + k * SOLVERS;
-            if (s < BLOCK) W(at + s) = fma_(W(z + 3 * s), impulse, W(at + s));
-        }
+        for (int s = 0; s < BLOCK; s++) W(at + s) = fma_(W(z + 3 * s), impulse, W(at + s));
     }
 }
 
@@ -274,7 +241,7 @@ FN void half_solve_units(Robot *a, float *base, float *z, int further, int path)
         base[6 + r] = nfma(x01, first, -second);
         base[12 + r] = nfma(x02, first, nfma(x12, second, -W(own + FACTOR_BASE + 12 + r)));
     }
-    solve_base(a, base, z, further, path, 0);
+    solve_base(a, base, 0, further, path, 0);
     float r0 = W(ROOT(b) + 1), r1 = W(ROOT(b) + 3), r2 = W(ROOT(b) + 5);
     set3(z, r0, x01 * r0, x02 * r0);
     set3(z + 3, 0.0f, r1, x12 * r1);

@@ -1,9 +1,8 @@
 /* The contact solver: warm-started Gauss-Seidel sweeps over contacts and joint bounds,
  * crates/dynamics/src/solver/. A single robot needs no masks: a sweep is made or it is not.
  *
- * Rows follow each other. SOLVERS threads of a robot share the work on each: all of them hold the same
- * numbers and make the same choices. One thread writes a number of a row, after `gather`, and
- * GROUP_SYNC ends the work on the row. With one solver the other threads wait. */
+ * Rows follow each other, so that one thread of a robot solves them while the others wait. What it reads of
+ * a contact's rows is in registers while it works on them. */
 #ifndef POLYPOD_SOLVER_H
 #define POLYPOD_SOLVER_H
 #include "bounds.h"
@@ -14,31 +13,30 @@
 FN void warm_start(Robot *a) {
     int moved = T(W_MOVED), joints = T(W_JOINTS), numbers = NUM_VELOCITIES;
     float targets = 0.0f, energy = (float)1e-20, impulse[3];
+    Rows z;
     for (int r = 0; r < 6; r++) a->moved[r] = 0.0f;
-    take_own(a, moved_of(a));
-    SOLVED_OUT(k, numbers) W(moved + k) = 0.0f;
-    GROUP_SYNC(a);
+    ROLLED for (int k = 0; k < numbers; k++) W(moved + k) = 0.0f;
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         w_load(a, row + ROW_IMPULSE, 3, impulse);
         targets = fma_(W(row + ROW_TARGET), impulse[0], targets);
         energy = fma_(W(row + ROW_SOFTNESS) * impulse[0], impulse[0], energy);
-        apply_rows(a, row, ROW_PARTS(i), path_of_row(a, i), 0, impulse, moved_of(a), moved);
-        GROUP_SYNC(a);
+        load_rows(a, row, &z);
+        apply_rows(a, &z, ROW_PARTS(i), path_of_row(a, i), 0, impulse, a->moved, moved);
     }
     ROLLED for (int i = 0; i < a->num_spins; i++) {
         w_load(a, SPIN(i) + SPIN_IMPULSE, 3, impulse);
-        if (T(FRICTION) == 2)
-            apply_rows(a, SPIN(i), SPIN_PARTS(i), path_of_row(a, i), 0, impulse, moved_of(a), moved);
-        else
-            apply_first(a, SPIN(i), SPIN_PARTS(i), path_of_row(a, i), impulse[0], moved_of(a), moved);
-        GROUP_SYNC(a);
+        if (T(FRICTION) == 2) {
+            load_rows(a, SPIN(i), &z);
+            apply_rows(a, &z, SPIN_PARTS(i), path_of_row(a, i), 0, impulse, a->moved, moved);
+        } else
+            apply_first(a, SPIN(i), SPIN_PARTS(i), path_of_row(a, i), impulse[0], a->moved, moved);
     }
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) impulse[i] = bound_impulse(a, b, i);
-        apply_rows(a, BOUND(b), BOUND_PARTS(b), path_of_bound(a, b), 1, impulse, moved_of(a), moved);
-        GROUP_SYNC(a);
+        load_rows(a, BOUND(b), &z);
+        apply_rows(a, &z, BOUND_PARTS(b), path_of_bound(a, b), 1, impulse, a->moved, moved);
         if (!BLOCK_LIMITS(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -58,15 +56,13 @@ FN void warm_start(Robot *a) {
         energy = fma_(a->moved[r], a->moved[r], energy);
     }
     float share = clamp_(gain / energy, 0.0f, 1.0f);
-    GROUP_SYNC(a);
-    SOLVED_OUT(k, numbers) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
+    ROLLED for (int k = 0; k < numbers; k++) W(joints + k) = fma_(share, W(moved + k), W(joints + k));
     for (int r = 0; r < 6; r++) a->y[r] = fma_(share, a->moved[r], a->y[r]);
-    take_own(a, velocity_of(a));
-    SOLVED_OUT(i, a->num_contacts)
+    ROLLED for (int i = 0; i < a->num_contacts; i++)
         for (int d = 0; d < 3; d++) W(ROW(i) + ROW_IMPULSE + d) = W(ROW(i) + ROW_IMPULSE + d) * share;
-    SOLVED_OUT(i, a->num_spins)
+    ROLLED for (int i = 0; i < a->num_spins; i++)
         for (int d = 0; d < 3; d++) W(SPIN(i) + SPIN_IMPULSE + d) = W(SPIN(i) + SPIN_IMPULSE + d) * share;
-    SOLVED_OUT(b, T(BLOCKS)) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_ACTIVE(b)) continue;
         for (int i = 0; i < BLOCK; i++) {
             int row = BOUND_ROW(b, i);
@@ -74,7 +70,6 @@ FN void warm_start(Robot *a) {
             if (BLOCK_LIMITS(b)) W(row + LIMIT_IMPULSE) = W(row + LIMIT_IMPULSE) * share;
         }
     }
-    GROUP_SYNC(a);
 }
 
 /* Impulse that brings a velocity into its bounds; with `impulse` the velocity is w. */
@@ -109,8 +104,10 @@ FN void sweep_bounds(Robot *a) {
         if (!BLOCK_ACTIVE(b)) continue;
         int bound = BOUND(b), limits = BLOCK_LIMITS(b);
         Path path = path_of_bound(a, b);
+        Rows z;
+        load_rows(a, bound, &z);
         float w[3], stopping[3], change[3], pass[3], coupling[3], friction[3], limit[3];
-        velocities(a, bound, BOUND_PARTS(b), path, 1, velocity_of(a), T(W_JOINTS), w);
+        velocities(a, &z, BOUND_PARTS(b), path, 1, a->y, T(W_JOINTS), w);
         w_load(a, bound + BOUND_FRICTION, 3, pass);
         w_load(a, bound + ROW_COUPLING, 3, coupling);
         for (int i = 0; i < 3; i++)
@@ -135,26 +132,25 @@ FN void sweep_bounds(Robot *a) {
                 stopping[2] = nfma(change[1], pass[2], stopping[2]);
             }
         }
-        apply_rows(a, bound, BOUND_PARTS(b), path, 1, change, velocity_of(a), T(W_JOINTS));
-        if (IS_FIRST(a)) {
-            for (int i = 0; i < 3; i++) {
-                W(BOUND_ROW(b, i) + FRICTION_IMPULSE) = friction[i];
-                if (limits && NEAR_LIMIT(b, i)) W(BOUND_ROW(b, i) + LIMIT_IMPULSE) = limit[i];
-            }
+        apply_rows(a, &z, BOUND_PARTS(b), path, 1, change, a->y, T(W_JOINTS));
+        for (int i = 0; i < 3; i++) {
+            W(BOUND_ROW(b, i) + FRICTION_IMPULSE) = friction[i];
+            if (limits && NEAR_LIMIT(b, i)) W(BOUND_ROW(b, i) + LIMIT_IMPULSE) = limit[i];
         }
-        GROUP_SYNC(a);
     }
 }
 
 /* One sweep over joint limits alone. Returns the largest change of a velocity. */
-FN float sweep_limits(Robot *a, int pushing, Base y, int joints) {
+FN float sweep_limits(Robot *a, int pushing, float *y, int joints) {
     float most = 0.0f;
     ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         if (!BLOCK_LIMITS(b)) continue;
         int of = pushing ? PUSH_IMPULSE : LIMIT_IMPULSE;
         Path path = path_of_bound(a, b);
+        Rows z;
+        load_rows(a, BOUND(b), &z);
         float w[3], change[3], coupling[3], limit[3];
-        velocities(a, BOUND(b), BOUND_PARTS(b), path, 1, y, joints, w);
+        velocities(a, &z, BOUND_PARTS(b), path, 1, y, joints, w);
         w_load(a, BOUND(b) + ROW_COUPLING, 3, coupling);
         for (int i = 0; i < 3; i++) {
             int row = BOUND_ROW(b, i), near = NEAR_LIMIT(b, i);
@@ -164,26 +160,24 @@ FN float sweep_limits(Robot *a, int pushing, Base y, int joints) {
             most = max_(most, fabsf(change[i] * W(row + DIAGONAL)));
             pass_change(coupling, i, change[i], w);
         }
-        apply_rows(a, BOUND(b), BOUND_PARTS(b), path, 1, change, y, joints);
-        if (IS_FIRST(a))
+        apply_rows(a, &z, BOUND_PARTS(b), path, 1, change, y, joints);
             for (int i = 0; i < 3; i++) W(BOUND_ROW(b, i) + of) = limit[i];
-        GROUP_SYNC(a);
     }
     return most;
 }
 
 /* Sweeps over joint limits alone until none changes a velocity. */
-FN void settle_limits(Robot *a, int pushing, Base y, int joints) {
+FN void settle_limits(Robot *a, int pushing, float *y, int joints) {
     ROLLED for (int sweep = 0; sweep < T(LIMIT_SWEEPS); sweep++)
         if (!(TC(LIMIT_TOLERANCE) < sweep_limits(a, pushing, y, joints))) break;
 }
 
 /* Static and dynamic coefficient of a contact. */
 FN void sliding_friction(const Robot *a, int contact, float *friction) {
-    friction[0] = P(T(P_STATIC_FRICTION));
-    friction[1] = P(T(P_DYNAMIC_FRICTION));
+    friction[0] = P(P_STATIC_FRICTION, 0);
+    friction[1] = P(P_DYNAMIC_FRICTION, 0);
     if (!T(HAS_SURFACES) || contact >= T(CONTACTS)) return;
-    float factor = P(T(P_CONTACT_FRICTION) + 3 * contact);
+    float factor = P(P_CONTACT_FRICTION, 3 * contact);
     friction[0] = friction[0] * factor;
     friction[1] = friction[1] * factor;
 }
@@ -202,6 +196,8 @@ FN void sweep_contacts(Robot *a) {
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         Path path = path_of_row(a, i);
+        Rows z;
+        load_rows(a, row, &z);
         float friction[2], old[3], w[3], inverse[3], pass[3], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
         w_load(a, row + ROW_IMPULSE, 3, old);
@@ -209,7 +205,7 @@ FN void sweep_contacts(Robot *a) {
         w_load(a, row + ROW_STICKING, 3, pass);
         float c1 = W(row + ROW_COUPLING), c2 = W(row + ROW_COUPLING + 1), slide = W(row + ROW_SLIDE);
         float at_rest = nfma(fma_(W(row + ROW_SOFTNESS), old[0], -W(row + ROW_TARGET)), inverse[0], old[0]);
-        velocities(a, row, ROW_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
+        velocities(a, &z, ROW_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
         float normal = max_(nfma(w[0], inverse[0], at_rest), 0.0f);
         float dn = normal - old[0];
         /* the point sticks if the impulse that stops it is inside the disc of the static coefficient */
@@ -221,9 +217,8 @@ FN void sweep_contacts(Robot *a) {
         sliding(slide, w1, w2, old[1], old[2], friction[1] * normal, s);
         float now[3] = {normal, presses ? (slides ? s[0] : t1) : 0.0f, presses ? (slides ? s[1] : t2) : 0.0f};
         float change[3] = {dn, now[1] - old[1], now[2] - old[2]};
-        apply_rows(a, row, ROW_PARTS(i), path, 0, change, velocity_of(a), T(W_JOINTS));
-        if (IS_FIRST(a)) w_store(a, row + ROW_IMPULSE, 3, now);
-        GROUP_SYNC(a);
+        apply_rows(a, &z, ROW_PARTS(i), path, 0, change, a->y, T(W_JOINTS));
+        w_store(a, row + ROW_IMPULSE, 3, now);
     }
 }
 
@@ -231,11 +226,12 @@ FN void sweep_contacts(Robot *a) {
 FN void sweep_spins(Robot *a) {
     ROLLED for (int i = 0; i < a->num_spins; i++) {
         int spin = SPIN(i), contact = ROW_CONTACT(i);
+        Rows z;
         Path path = path_of_row(a, i);
-        float torsional = P(T(P_TORSIONAL_FRICTION)), rolling = P(T(P_ROLLING_FRICTION));
+        float torsional = P(P_TORSIONAL_FRICTION, 0), rolling = P(P_ROLLING_FRICTION, 0);
         if (T(HAS_SURFACES)) {
-            torsional = max_(torsional, P(T(P_CONTACT_FRICTION) + 3 * contact + 1));
-            rolling = max_(rolling, P(T(P_CONTACT_FRICTION) + 3 * contact + 2));
+            torsional = max_(torsional, P(P_CONTACT_FRICTION, 3 * contact + 1));
+            rolling = max_(rolling, P(P_CONTACT_FRICTION, 3 * contact + 2));
         }
         float old[3], now[3], inverse[3], coupling[3], change[3], normal = W(ROW(i) + ROW_IMPULSE);
         float bound = torsional * normal;
@@ -245,7 +241,8 @@ FN void sweep_spins(Robot *a) {
         if (T(FRICTION) == 2) {
             float w[3], s[2];
             w_load(a, spin + ROW_COUPLING, 3, coupling);
-            velocities(a, spin, SPIN_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
+            load_rows(a, spin, &z);
+            velocities(a, &z, SPIN_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
             now[0] = clamp_(nfma(w[0], inverse[0], old[0]), -bound, bound);
             float turned = now[0] - old[0];
             float w1 = fma_(coupling[0], turned, w[1]), w2 = fma_(coupling[1], turned, w[2]);
@@ -262,19 +259,17 @@ FN void sweep_spins(Robot *a) {
         }
         sub(now, old, change);
         if (T(FRICTION) == 2)
-            apply_rows(a, spin, SPIN_PARTS(i), path, 0, change, velocity_of(a), T(W_JOINTS));
+            apply_rows(a, &z, SPIN_PARTS(i), path, 0, change, a->y, T(W_JOINTS));
         else
-            apply_first(a, spin, SPIN_PARTS(i), path, change[0], velocity_of(a), T(W_JOINTS));
-        if (IS_FIRST(a)) w_store(a, spin + SPIN_IMPULSE, 3, now);
-        GROUP_SYNC(a);
+            apply_first(a, spin, SPIN_PARTS(i), path, change[0], a->y, T(W_JOINTS));
+        w_store(a, spin + SPIN_IMPULSE, 3, now);
     }
 }
 
 /* Whether another sweep would change the velocity of a contact by more than the settings allow. */
 FN int unsettled(Robot *a) {
     float beyond = 0.0f;
-    GROUP_SYNC(a);
-    SOLVED_OUT(i, a->num_contacts) {
+    ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         float w = first_velocity(a, row, ROW_PARTS(i), path_of_row(a, i), a->y, T(W_JOINTS));
         float old = W(row + ROW_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_TARGET));
@@ -282,7 +277,6 @@ FN int unsettled(Robot *a) {
         float enough = TC(DEEP_PUSH) < W(row + ROW_PUSH) ? TC(SETTLED_CHANGE_DEEP) : TC(SETTLED_CHANGE);
         W(row + ROW_BEYOND) = fma_(fabsf(normal - old), W(row + ROW_DIAGONAL), -enough);
     }
-    GROUP_SYNC(a);
     BY_THREE for (int i = 0; i < a->num_contacts; i++) beyond = max_(beyond, W(ROW(i) + ROW_BEYOND));
     return 0.0f < beyond;
 }
@@ -292,13 +286,15 @@ FN void sweep_jammed(Robot *a) {
     ROLLED for (int i = 0; i < a->num_contacts; i++) {
         int row = ROW(i);
         Path path = path_of_row(a, i);
+        Rows z;
+        load_rows(a, row, &z);
         float friction[2], old[3], w[3], c[3], inverse[3], across[2], s[2];
         sliding_friction(a, ROW_CONTACT(i), friction);
         w_load(a, row + ROW_IMPULSE, 3, old);
         w_load(a, row + ROW_COUPLING, 3, c);
         w_load(a, row + ROW_INVERSE, 3, inverse);
         w_load(a, row + ROW_ACROSS, 2, across);
-        velocities(a, row, ROW_PARTS(i), path, 0, velocity_of(a), T(W_JOINTS), w);
+        velocities(a, &z, ROW_PARTS(i), path, 0, a->y, T(W_JOINTS), w);
         float square = fma_(old[1], old[1], old[2] * old[2]), bound = friction[1] * old[0];
         bound = bound * bound;
         int at_bound = (bound * TC(LEAST_BOUND) < square) & (square < bound * TC(MOST_BOUND));
@@ -323,19 +319,15 @@ FN void sweep_jammed(Robot *a) {
         sliding(W(row + ROW_SLIDE), w1, w2, followed1, followed2, friction[1] * normal, s);
         float now[3] = {normal, slides ? s[0] : t1, slides ? s[1] : t2}, moved[3];
         sub(now, old, moved);
-        apply_rows(a, row, ROW_PARTS(i), path, 0, moved, velocity_of(a), T(W_JOINTS));
-        if (IS_FIRST(a)) {
-            W(row + ROW_LAST_CHANGE) = dn;
-            w_store(a, row + ROW_IMPULSE, 3, now);
-        }
-        GROUP_SYNC(a);
+        apply_rows(a, &z, ROW_PARTS(i), path, 0, moved, a->y, T(W_JOINTS));
+        W(row + ROW_LAST_CHANGE) = dn;
+        w_store(a, row + ROW_IMPULSE, 3, now);
     }
 }
 
 /* Marks the bounds that sweeps look at. */
 FN void mark_active(Robot *a) {
-    GROUP_SYNC(a);
-    SOLVED_OUT(b, T(BLOCKS)) {
+    ROLLED for (int b = 0; b < T(BLOCKS); b++) {
         int active = 0;
         for (int i = 0; i < BLOCK; i++) {
             if (NEAR_LIMIT(b, i)) active = 1;
@@ -343,16 +335,12 @@ FN void mark_active(Robot *a) {
         }
         BLOCK_ACTIVE(b) = active;
     }
-    GROUP_SYNC(a);
 }
 
 /* Keeps the sparse velocity in the memory of the moved one. */
 FN void keep_velocity(Robot *a) {
     copy(a->moved, a->y, 6);
-    take_own(a, moved_of(a));
-    GROUP_SYNC(a);
-    SOLVED_OUT(k, NUM_VELOCITIES) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
-    GROUP_SYNC(a);
+    ROLLED for (int k = 0; k < NUM_VELOCITIES; k++) W(T(W_MOVED) + k) = W(T(W_JOINTS) + k);
 }
 
 /* Whether the velocity differs from the one that was kept by more than the settings allow. */
@@ -382,19 +370,17 @@ FN void push_out(Robot *a) {
             float old = W(row + ROW_PUSH_IMPULSE), missing = fma_(W(row + ROW_SOFTNESS), old, w - W(row + ROW_PUSH));
             float push = max_(nfma(missing, W(row + ROW_INVERSE), old), 0.0f), change = push - old;
             most = max_(most, fabsf(change * W(row + ROW_DIAGONAL)));
-            apply_first(a, row, ROW_PARTS(i), path, change, moved_of(a), joints);
-            if (IS_FIRST(a)) W(row + ROW_PUSH_IMPULSE) = push;
-            GROUP_SYNC(a);
+            apply_first(a, row, ROW_PARTS(i), path, change, a->moved, joints);
+            W(row + ROW_PUSH_IMPULSE) = push;
         }
-        most = max_(most, sweep_limits(a, 1, moved_of(a), joints));
+        most = max_(most, sweep_limits(a, 1, a->moved, joints));
         if (!(TC(PUSH_TOLERANCE) < most)) break;
     }
-    settle_limits(a, 1, moved_of(a), joints);
+    settle_limits(a, 1, a->moved, joints);
 }
 
 /* Solves the constraints. */
 FN void solve_rows(Robot *a) {
-    take_own(a, velocity_of(a));
     warm_start(a);
     ROLLED for (int sweep = 1; sweep <= T(ITERATIONS); sweep++) {
         int measures = T(MEASURES) && T(CHECK_INTERVAL) > 0 && sweep % T(CHECK_INTERVAL) == 0 && sweep < T(ITERATIONS);
@@ -416,7 +402,7 @@ FN void solve_rows(Robot *a) {
                 sweep_jammed(a);
             }
         }
-        settle_limits(a, 0, velocity_of(a), T(W_JOINTS));
+        settle_limits(a, 0, a->y, T(W_JOINTS));
         if (!unsettled(a)) break;
         mark_active(a);
     }
@@ -428,9 +414,8 @@ FN void solve_rows(Robot *a) {
 
 FN void solve(Robot *a) {
     SYNC;
-    if (SOLVERS > 1 || IS_FIRST(a)) solve_rows(a);
+    if (IS_FIRST(a)) solve_rows(a);
     SYNC;
-    if (SOLVERS > 1) return;
     for (int r = 0; r < 6; r++) {
         a->y[r] = FROM_LANE(a->y[r], 0);
         a->moved[r] = FROM_LANE(a->moved[r], 0);

@@ -6,7 +6,8 @@
 typedef struct {
     const int *integers;
     const float *numbers;
-    const float *parameters;
+    const float *parameters; /* of each robot */
+    const float *common;     /* of all robots */
     float *drive; /* rows of the drive, followed by those of the state and of the report */
     float *state;
     float *report;
@@ -14,12 +15,16 @@ typedef struct {
     const float *grid;
     float *work;
     int *work_integers;
+    unsigned *ended; /* warps of the block that have ended, and the most contacts of a robot */
+    unsigned *done;  /* where the host reads the number of the last control step that all have ended,
+                      * and the most contacts */
     int robots;
-    int shared;   /* whether all robots read one list of parameters */
+    unsigned own; /* a bit for each column of parameters: whether robots read their own */
     int capacity; /* contacts that the state's list has room for */
     int first;    /* physics steps of the control step: first to end */
     int end;
     int warp; /* the first warp that steps robots of the block */
+    int number; /* of the control step */
 } Block;
 
 /* Where the columns of a robot begin: in its tile, at its place. */
@@ -27,12 +32,11 @@ FN size_t place(int e, int size) { return (size_t)(e / TILE) * TILE * size + e %
 
 /* The pointers are not `restrict`: other threads of the robot write the same memory between two
  * meetings. */
-FN void step_columns(const Block *block, int lane, const float *p, int ps, const float *d, float *row,
+FN void step_columns(const Block *block, int lane, const float *p, const float *d, float *row,
                      float *s, float *r, float *w, int *wi) {
-    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6], y_own[OWN(6)], moved_own[OWN(6)];
+    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6];
     Robot robot, *a = &robot;
     a->lane = lane;
-    a->group = GROUP_OF_THREAD;
     a->base_rotation = base_rotation;
     a->bias_base = bias_base;
     a->velocity_base = velocity_base;
@@ -40,12 +44,11 @@ FN void step_columns(const Block *block, int lane, const float *p, int ps, const
     a->root = root;
     a->y = y;
     a->moved = moved;
-    a->y_own = y_own;
-    a->moved_own = moved_own;
     a->t = block->integers;
     a->c = block->numbers;
     a->p = p;
-    a->ps = ps;
+    a->common = block->common;
+    a->own = block->own;
     a->d = d;
     a->row = row;
     a->s = s;
@@ -60,8 +63,8 @@ FN void step_robot(const Block *block, int e, int lane) {
     Robot tables, *a = &tables;
     a->t = block->integers;
     float *work = block->work + place(e, T(SIZE_WORK));
-    step_columns(block, lane, block->parameters + (block->shared ? 0 : place(e, T(SIZE_PARAMETERS))),
-                 block->shared ? 1 : TILE, block->drive + (size_t)e * T(SIZE_DRIVE),
+    step_columns(block, lane, block->own ? block->parameters + place(e, T(SIZE_PARAMETERS)) : block->common,
+                 block->drive + (size_t)e * T(SIZE_DRIVE),
                  block->state + (size_t)e * (T(SIZE_STATE) + LISTED_SIZE * block->capacity),
                  work + (size_t)T(W_STATE) * TILE, block->report + (size_t)e * T(SIZE_REPORT), work,
                  block->work_integers + place(e, T(SIZE_WORK_INTEGERS)));
@@ -74,6 +77,21 @@ FN void copy_rows(float *to, const float *from, int count, int thread, int threa
     _Pragma("unroll 8") for (int k = thread; k < count; k += threads) to[k] = from[k];
 }
 
+/* Tells the host that all warps of a block have ended, so that it reads their rows while other blocks
+ * step. The warp's rows are in the host's memory before it counts itself. */
+FN void end_warp(const Block *block, int warps, int thread, unsigned contacts) {
+    volatile unsigned *done = block->done;
+    if (contacts > 0) atomicMax(block->ended + 1, contacts);
+    __threadfence_system();
+    __syncwarp();
+    if (thread > 0 || atomicAdd(block->ended, 1u) + 1 < (unsigned)warps) return;
+    __threadfence();
+    block->ended[0] = 0;
+    done[1] = atomicExch(block->ended + 1, 0u);
+    __threadfence_system();
+    done[0] = (unsigned)block->number;
+}
+
 /* Each warp takes 32 / LANES robots of a block, and their rows from the host and back. */
 KERNEL void polypod_control_step(const Block *blocks, int count) {
     const int robots = 32 / LANES;
@@ -84,6 +102,7 @@ KERNEL void polypod_control_step(const Block *blocks, int count) {
     IN_GLOBAL_MEMORY(block.integers);
     IN_GLOBAL_MEMORY(block.numbers);
     IN_GLOBAL_MEMORY(block.parameters);
+    IN_GLOBAL_MEMORY(block.common);
     IN_GLOBAL_MEMORY(block.drive);
     IN_GLOBAL_MEMORY(block.state);
     IN_GLOBAL_MEMORY(block.report);
@@ -108,6 +127,8 @@ KERNEL void polypod_control_step(const Block *blocks, int count) {
         __syncwarp();
         copy_rows(block.host + (block.state - block.drive) + states, block.state + states, present * state, thread, threads);
         copy_rows(block.host + (block.report - block.drive) + reports, block.report + reports, present * report, thread, threads);
+        unsigned contacts = thread < present ? (unsigned)block.state[states + thread * state + T(S_PRESSING)] : 0u;
+        end_warp(&block, (block.robots + robots - 1) / robots, thread, contacts);
     }
 }
 #else

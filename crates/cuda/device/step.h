@@ -38,11 +38,11 @@ FN void actuate(Robot *a) {
     SHARED_OUT(j, T(JOINTS)) {
         int joint = T(T_JOINT) + j * JOINT_SIZE, explicit_gains = L(joint + 3), table = L(joint + 4);
         float q = S(T(S_JOINT) + j), v = S(T(S_JOINT_VELOCITY) + j);
-        float kp = P(T(P_STIFFNESS) + j), kd = P(T(P_DAMPING) + j), ahead = explicit_gains ? 0.0f : look_ahead;
+        float kp = P(P_STIFFNESS, j), kd = P(P_DAMPING, j), ahead = explicit_gains ? 0.0f : look_ahead;
         float spring = fma_(kp, nfma(v, ahead, W(T(W_TARGET) + j) - q), -(kd * v));
-        float wanted = spring + D(T(D_FEEDFORWARD) + j), limit = P(T(P_EFFORT_LIMIT) + j);
+        float wanted = spring + D(T(D_FEEDFORWARD) + j), limit = P(P_EFFORT_LIMIT, j);
         if (table) limit = limit * table_limit(C(table), L(joint + 5), q);
-        float stall = P(T(P_SATURATION_EFFORT) + j), speed = v / P(T(P_MOTOR_VELOCITY_LIMIT) + j);
+        float stall = P(P_SATURATION_EFFORT, j), speed = v / P(P_MOTOR_VELOCITY_LIMIT, j);
         float most = clamp_(stall * (1.0f - speed), 0.0f, limit);
         float least = clamp_(stall * (-1.0f - speed), -limit, 0.0f);
         float effort = clamp_(wanted, least, most);
@@ -82,39 +82,22 @@ FN void add_link_forces(Robot *a) {
     }
 }
 
-/* Damping of joints and the implicit shares of springs and actuators; then the factors. */
-FN void factorise_step(Robot *a) {
-    float dt = TC(DT), share = dt * dt * TC(SPRING_STIFFNESS);
-    TREES_OF(tree) OUTWARD(tree, k) {
-        int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
-        for (int place = 0; place < BLOCK; place++) {
-            if (place >= L(block + 3)) continue;
-            int j = L(block + place), at = FACTOR(b) + place;
-            float slope = W(T(W_SLOPE) + j) + P(T(P_JOINT_DAMPING) + j);
-            float diagonal = fma_(slope, dt, W(at));
-            if (T(HAS_SPRINGS)) diagonal = fma_(P(T(P_SPRING) + 2 * j), share, diagonal);
-            W(at) = diagonal;
-        }
-    }
-    factorise(a);
-}
-
-/* Velocity that the robot would have after the step without constraints; the base's in base axes goes
- * to `free_base`, the joints' to W_RHS. */
-FN void find_free_velocity(Robot *a, float *free_base) {
-    float dt = TC(DT), force[3], torque[3], com[3], t[3], impulse[6];
-    int rhs = T(W_RHS), joints = T(W_JOINTS), moved = T(W_MOVED);
-    TREES_OF(tree) OUTWARD(tree, k) {
+/* The impulses of a tree's joints without constraints, and their velocities; then both in the coordinates
+ * in which constraint rows are sparse. */
+FN void move_freely(Robot *a, int tree) {
+    float dt = TC(DT);
+    int rhs = T(W_RHS), joints = T(W_JOINTS);
+    OUTWARD(tree, k) {
         int b = TREE_BLOCK(tree, k), block = BLOCK_AT(b);
         for (int place = 0; place < BLOCK; place++) {
             float x = 0.0f, velocity = 0.0f;
             if (place < L(block + 3)) {
                 int j = L(block + place);
                 velocity = S(T(S_JOINT_VELOCITY) + j);
-                float passive = P(T(P_JOINT_DAMPING) + j) * velocity;
+                float passive = P(P_JOINT_DAMPING, j) * velocity;
                 x = (W(T(W_EFFORT) + j) - passive - W(T(W_BIAS) + j)) * dt;
                 if (T(HAS_SPRINGS)) {
-                    float pull = P(T(P_SPRING) + 2 * j) * (P(T(P_SPRING) + 2 * j + 1) - S(T(S_JOINT) + j));
+                    float pull = P(P_SPRING, 2 * j) * (P(P_SPRING, 2 * j + 1) - S(T(S_JOINT) + j));
                     x = fma_(pull, dt, x);
                 }
             }
@@ -122,32 +105,56 @@ FN void find_free_velocity(Robot *a, float *free_base) {
             W(joints + 3 * b + place) = velocity;
         }
     }
-    if (T(BLOCKS) == 0 && IS_FIRST(a))
-        for (int k = 0; k < BLOCK; k++) W(joints + k) = W(moved + k) = 0.0f;
+    solve_tree(a, tree, a->y, rhs, joints, T(W_MOVED));
+}
+
+/* Kinematics, factors, and the velocity that the robot would have after the step without constraints; the
+ * base's in base axes goes to `free_base`, the joints' to W_RHS. What is known of a tree at a time is done
+ * together, while its numbers are in the cache. */
+FN void find_free_velocity(Robot *a, const float *gravity, float *free_base) {
+    float dt = TC(DT), force[3], torque[3], com[3], t[3], impulse[6];
+    int rhs = T(W_RHS), moved = T(W_MOVED), stages = T(LINK_FORCES) ? 2 : 1;
+    begin_motion(a, gravity);
     s_load(a, T(S_LINEAR), 3, t);
     mul_vec_transposed(a->base_rotation, t, a->velocity_base + 3);
     s_load(a, T(S_ANGULAR), 3, a->velocity_base);
+    for (int r = 0; r < 6; r++) a->y[r] = T(FLOATING) ? a->velocity_base[r] : 0.0f;
+    if (T(BLOCKS) == 0 && IS_FIRST(a))
+        for (int k = 0; k < BLOCK; k++) W(T(W_JOINTS) + k) = W(moved + k) = 0.0f;
+    SYNC;
+    /* forces on links change the bias forces of joints before the second stage */
+    ROLLED for (int stage = 0; stage < stages; stage++) {
+        TREES_OF(tree) {
+            if (stage == 0) {
+                move_tree(a, tree);
+                factorise_tree(a, tree);
+            }
+            if (stage + 1 == stages) move_freely(a, tree);
+        }
+        SYNC;
+        if (stage > 0) continue;
+        end_motion(a);
+        if (stages == 1) continue;
+        add_link_forces(a);
+        SYNC;
+    }
+    factorise_base(a);
     d_load(a, T(D_FORCE), 3, force);
     d_load(a, T(D_TORQUE), 3, torque);
-    p_load(a, T(P_COM), 3, com);
+    p_load(a, P_COM, 0, 3, com);
     cross(com, force, t);
     add(torque, t, impulse);
     copy(impulse + 3, force, 3);
     for (int r = 0; r < 6; r++) impulse[r] = (impulse[r] - a->bias_base[r]) * dt;
-    half_solve_force(a, impulse, rhs);
-    for (int r = 0; r < 6; r++) a->y[r] = T(FLOATING) ? a->velocity_base[r] : 0.0f;
-    to_sparse(a, a->y, joints);
+    half_solve_base(a, impulse, rhs);
+    SYNC;
+    to_sparse_base(a, a->y);
     for (int r = 0; r < 6; r++) free_base[r] = a->moved[r] = a->y[r] + impulse[r];
-    TREES_OF(tree) OUTWARD(tree, k) {
-        int b = TREE_BLOCK(tree, k), at = 3 * b;
-        for (int s = 0; s < BLOCK; s++) {
-            float x = W(joints + at + s) + W(rhs + at + s) * W(ROOT(b) + 2 * s + 1);
-            W(moved + at + s) = x;
-            W(rhs + at + s) = x;
-        }
+    to_dense_base(a, free_base);
+    TREES_OF(tree) {
+        to_dense_tree(a, tree, free_base, moved, rhs);
+        free_links(a, tree);
     }
-    to_dense(a, free_base, rhs);
-    free_links(a);
 }
 
 /* Contact bodies of a contact: one on the ground, two of a pair. Returns their number. */
@@ -220,29 +227,38 @@ FN void clear_forces(Robot *a, int substep, int last) {
     if (last) SHARED_OUT(k, T(BODIES) + T(BLOCKS) + 1) W(T(W_DEMANDS) + k) = 0.0f;
 }
 
+/* Takes over the new velocities of a block's joints, and moves their positions with those in the columns
+ * `moved`. */
+FN void move_block(Robot *a, int b, int joints, int moved) {
+    float dt = TC(DT);
+    for (int place = 0; place < BLOCK; place++) {
+        if (place >= L(BLOCK_AT(b) + 3)) continue;
+        int j = L(BLOCK_AT(b) + place), takes_part = NEAR_LIMIT(b, place) | HAS_FRICTION(b, place);
+        S(T(S_BOUND) + j) = takes_part ? bound_impulse(a, b, place) + 0.0f : 0.0f;
+        float now = W(joints + 3 * b + place) + 0.0f, change = now - S(T(S_JOINT_VELOCITY) + j);
+        R(T(R_EFFORT) + j) = nfma(W(T(W_SLOPE) + j), change, W(T(W_EFFORT) + j));
+        R(T(R_ACCELERATION) + j) = change / dt;
+        S(T(S_JOINT_VELOCITY) + j) = now;
+        S(T(S_JOINT) + j) = fma_(W(moved + 3 * b + place) + 0.0f, dt, S(T(S_JOINT) + j));
+    }
+}
+
 /* Takes over the new velocities, and moves positions with them and the push. */
 FN void integrate(Robot *a) {
     float dt = TC(DT);
     int joints = T(W_JOINTS), moved = T(W_MOVED);
-    to_dense(a, a->y, joints);
-    if (0.0f < a->violation) {
-        to_dense(a, a->moved, moved);
+    int pushes = 0.0f < a->violation;
+    to_dense_base(a, a->y);
+    if (pushes) {
+        to_dense_base(a, a->moved);
     } else {
         copy(a->moved, a->y, 6);
         moved = joints;
     }
-    TREES_OF(tree) OUTWARD(tree, k) {
-        int b = TREE_BLOCK(tree, k);
-        for (int place = 0; place < BLOCK; place++) {
-            if (place >= L(BLOCK_AT(b) + 3)) continue;
-            int j = L(BLOCK_AT(b) + place), takes_part = NEAR_LIMIT(b, place) | HAS_FRICTION(b, place);
-            S(T(S_BOUND) + j) = takes_part ? bound_impulse(a, b, place) + 0.0f : 0.0f;
-            float now = W(joints + 3 * b + place) + 0.0f, change = now - S(T(S_JOINT_VELOCITY) + j);
-            R(T(R_EFFORT) + j) = nfma(W(T(W_SLOPE) + j), change, W(T(W_EFFORT) + j));
-            R(T(R_ACCELERATION) + j) = change / dt;
-            S(T(S_JOINT_VELOCITY) + j) = now;
-            S(T(S_JOINT) + j) = fma_(W(moved + 3 * b + place) + 0.0f, dt, S(T(S_JOINT) + j));
-        }
+    TREES_OF(tree) {
+        to_dense_tree(a, tree, a->y, joints, joints);
+        if (pushes) to_dense_tree(a, tree, a->moved, moved, moved);
+        OUTWARD(tree, k) move_block(a, TREE_BLOCK(tree, k), joints, moved);
     }
     if (!T(FLOATING) || !IS_FIRST(a)) return;
     float u[6], m[6], linear[3], position[3], q[4], turn[3];
@@ -281,7 +297,7 @@ FN void report_sites(Robot *a) {
         w_load(a, link, 9, r);
         w_load(a, link + LINK_POSITION, 3, at);
         w_load(a, link + LINK_VELOCITY, 6, motion);
-        p_load(a, T(P_SITE_POSITION) + 3 * i, 3, site);
+        p_load(a, P_SITE_POSITION, 3 * i, 3, site);
         mul_vec(r, site, t);
         add(at, t, at);
         cross(motion, at, t);
@@ -300,20 +316,17 @@ FN void physics_step(Robot *a, int substep) {
     s_load(a, T(S_ROTATION), 4, q);
     quat_to_mat(q, a->base_rotation);
     mul_vec_transposed(a->base_rotation, C(GRAVITY), gravity);
+    a->violation = 0.0f;
     clear_forces(a, substep, last);
     actuate(a);
-    equations_of_motion(a, gravity);
-    if (T(LINK_FORCES)) add_link_forces(a);
-    SYNC;
-    factorise_step(a);
-    find_free_velocity(a, free_base);
+    find_free_velocity(a, gravity, free_base);
     SYNC;
     build_ground_contacts(a, free_base);
     build_pairs(a);
     SYNC;
     copy(a->y, a->moved, 6);
     SHARED_OUT(k, BLOCK * T(BLOCKS)) W(T(W_JOINTS) + k) = W(T(W_MOVED) + k);
-    build_joint_bounds(a);
+    SHARED_OUT(b, T(BLOCKS)) build_joint_bounds(a, b);
     share_violation(a);
     solve(a);
     if (IS_FIRST(a)) report_contacts(a, substep, last);

@@ -1,6 +1,6 @@
 /* Layout of tables, columns and rows. The build script turns it into constants of Rust. Parameters and
- * workspace of a block are in tiles of TILE robots: [tile][number][robot of the tile], so that the
- * threads of a warp read neighbouring numbers and a number's place is a constant. A column is one number
+ * workspace of a block are in tiles of TILE robots, those of a warp: [tile][number][robot of the tile],
+ * so that the threads of a warp read neighbouring numbers and a number's place is a constant. A column is one number
  * of the robots of a tile, contiguous. Drive, state and report, which the host writes and reads, are
  * rows: [robot][number]. */
 #ifndef POLYPOD_TABLES_H
@@ -54,9 +54,12 @@ enum Number {
 
 /* Sizes of the entries of lists. */
 enum Size {
-    TILE = 8,
+    WARP = 32,        /* threads that a card steps together */
+    TILE_OF_HOST = 8,
     THREADS_OF_FEW = 4, /* threads that step a robot together on a card, where robots are few */
     FEW_ROBOTS = 8192,
+    THREADS_OF_MORE = 2, /* where own kernels step more robots, up to that many */
+    MORE_ROBOTS = 32768,
     LISTED_SIZE = 4,  /* contact, impulse */
     JOINT_SIZE = 6,   /* parent, slides, axis (3: any), explicit, effort table (0: none), its length */
     AXIS_SIZE = 4,    /* direction, sign */
@@ -90,6 +93,12 @@ enum Size {
     FOUND_POINT = 0, FOUND_NORMAL = 3, FOUND_GAP = 6, FOUND_FRAME = 7, FOUND_SIZE = 16
 };
 
+#ifdef __CUDACC__
+#define TILE (WARP / LANES)
+#else
+#define TILE TILE_OF_HOST
+#endif
+
 /* A robot of a block: its tables and its place in the columns. LANES threads step it together. All
  * make the same choices and hold the same numbers outside of memory. Where work on trees, links,
  * contacts or blocks does not depend on each other, each thread takes its share of it. What one thread
@@ -97,11 +106,11 @@ enum Size {
  * in which robots of a morphology differ. */
 typedef struct {
     int lane;       /* the thread's number among those of the robot */
-    unsigned group; /* the threads of the robot in its warp */
     const int *t;   /* table of integers */
     const float *c; /* table of numbers */
-    const float *p; /* parameters: of its own, or shared by the block */
-    int ps;         /* from one parameter to the next */
+    const float *p; /* parameters of its own */
+    const float *common; /* those of the block */
+    unsigned own;   /* a bit for each column of parameters: whether robots have their own */
     float *s, *w;     /* state, workspace */
     float *row, *r;   /* rows of the state and the report */
     const float *d;   /* row of the drive */
@@ -112,7 +121,6 @@ typedef struct {
     float *base_rotation, *bias_base, *velocity_base;
     float *g, *root;  /* base block of the factor (36), and roots of its diagonal (12) */
     float *y, *moved; /* base's part of the sparse velocity */
-    float *y_own, *moved_own; /* the numbers of it that this thread brings up to date in the solver */
     float violation, compliance;
     int num_contacts, num_spins;
 } Robot;
@@ -131,7 +139,8 @@ typedef struct {
 #define L(k) READ(a->t + (k))
 #define C(k) (a->c + (k))
 #endif
-#define P(k) READ(a->p + (k) * a->ps)
+#define IS_OWN(name) (a->own >> ((name) - P_OFFSET) & 1)
+#define P(name, i) READ(IS_OWN(name) ? a->p + (T(name) + (i)) * TILE : a->common + T(name) + (i))
 #define S(k) (a->s[(k) * TILE])
 #define D(k) (a->d[k])
 #define R(k) (a->r[k])
@@ -142,10 +151,6 @@ typedef struct {
 #define IS_FIRST(a) ((a)->lane == 0)
 /* the share of this thread of some numbered things */
 #define SHARED_OUT(i, end) ROLLED for (int i = a->lane; i < (end); i += LANES)
-/* how many of some numbers a thread of the solver has, every SOLVERS-th */
-#define OWN(count) (((count) + SOLVERS - 1) / SOLVERS)
-#define SOLVER(a) (SOLVERS == 1 ? 0 : (a)->lane)
-#define SOLVED_OUT(i, end) ROLLED for (int i = SOLVER(a); i < (end); i += SOLVERS)
 /* the trees of this thread; the blocks of a tree, from the base to the leaves and back */
 #define TREES_OF(tree) ROLLED for (int tree = T(TREES) - 1 - a->lane; tree >= 0; tree -= LANES)
 #define TREE_COUNT(tree) L(T(T_TREE) + 2 * (tree))
@@ -153,9 +158,12 @@ typedef struct {
 #define OUTWARD(tree, k) ROLLED for (int k = 0; k < TREE_COUNT(tree); k++)
 #define INWARD(tree, k) ROLLED for (int k = TREE_COUNT(tree) - 1; k >= 0; k--)
 
-FN void p_load(const Robot *a, int at, int n, float *o) {
-    for (int i = 0; i < n; i++) o[i] = P(at + i);
+FN void load_parameters(const Robot *a, int is_own, int at, int n, float *o) {
+    const float *from = is_own ? a->p + at * TILE : a->common + at;
+    int step = is_own ? TILE : 1;
+    for (int i = 0; i < n; i++) o[i] = READ(from + i * step);
 }
+#define p_load(a, name, at, n, o) load_parameters(a, IS_OWN(name), T(name) + (at), n, o)
 FN void s_load(const Robot *a, int at, int n, float *o) {
     for (int i = 0; i < n; i++) o[i] = S(at + i);
 }

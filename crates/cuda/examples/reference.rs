@@ -110,14 +110,16 @@ impl Run<'_> {
         let mut work = vec![Workspace::new(topology); ENVS];
         states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
         let capacity = block.shape().capacity;
-        let Parts { integers, numbers, parameters: all, state, grid, work: scratch, work_integers, shared, .. } =
-            block.parts();
-        let sizes = [ENVS, usize::from(shared), scratch.len() / ENVS, work_integers.len() / ENVS, self.steps];
+        let Parts {
+            integers, numbers, parameters: tiles, common, state, grid, work: scratch, work_integers, own, ..
+        } = block.parts();
+        let sizes = [ENVS, own as usize, scratch.len() / ENVS, work_integers.len() / ENVS, self.steps];
         let sizes = [sizes.as_slice(), &[STEPS_OF_DRIVE, capacity]].concat();
         arrays.integers("sizes", &sizes.iter().map(|&x| x as i32).collect::<Vec<_>>())?;
         arrays.integers("integers", integers)?;
         arrays.floats("numbers", numbers)?;
-        arrays.floats("parameters", all)?;
+        arrays.floats("parameters", tiles)?;
+        arrays.floats("common", common)?;
         arrays.floats("grid", grid)?;
         arrays.floats("state", state)?;
         let mut checksums = Vec::new();

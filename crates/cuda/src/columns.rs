@@ -9,9 +9,6 @@ use polypod_dynamics::{Drive, Parameters, Report, State, StepSettings, Topology}
 use crate::layout::*;
 use crate::tables::{Scene, Tables, Unsupported};
 
-/// Robots of a tile of parameters.
-pub const ROBOTS_OF_TILE: usize = TILE;
-
 /// Tables of a morphology, the number of its robots, and the room of their lists of impulses.
 #[derive(Clone, Debug)]
 pub struct Shape {
@@ -21,6 +18,8 @@ pub struct Shape {
     pub robots: usize,
     /// Contacts that the list of a robot's impulses has room for.
     pub capacity: usize,
+    /// Robots of a tile of parameters and scratch memory.
+    pub tile: usize,
 }
 
 impl Shape {
@@ -37,7 +36,7 @@ impl Shape {
     ) -> Result<Self, Unsupported> {
         let tables = Tables::new(topology, settings, scene)?;
         let capacity = capacity.min(tables.sizes.impulses);
-        Ok(Self { tables, robots: robots.max(1), capacity })
+        Ok(Self { tables, robots: robots.max(1), capacity, tile: TILE_OF_HOST })
     }
 
     /// The same shape with more or less room in its lists.
@@ -46,9 +45,15 @@ impl Shape {
         Self { capacity: capacity.min(self.tables.sizes.impulses), ..self.clone() }
     }
 
+    /// The same shape with tiles of another size.
+    #[must_use]
+    pub fn with_tile(self, tile: usize) -> Self {
+        Self { tile, ..self }
+    }
+
     /// Number of tiles.
     pub fn tiles(&self) -> usize {
-        self.robots.div_ceil(TILE)
+        self.robots.div_ceil(self.tile)
     }
 
     /// Numbers of a robot's state with its list.
@@ -70,7 +75,7 @@ impl Shape {
 
     /// Numbers of scratch memory, and integers.
     pub fn scratch(&self) -> [usize; 2] {
-        [self.tables.sizes.work, self.tables.sizes.work_integers].map(|size| size * TILE * self.tiles())
+        [self.tables.sizes.work, self.tables.sizes.work_integers].map(|size| size * self.tile * self.tiles())
     }
 
     /// Physics steps of a control step.
@@ -86,27 +91,34 @@ impl Shape {
         Exchange { shape: self, drive, state, report }
     }
 
-    /// Numbers that differ from robot to robot, of all robots, where all have the same ones.
+    /// Columns in which a robot's parameters differ from others: a bit for each.
+    pub fn differing(&self, parameters: &[f32], others: &[f32]) -> u32 {
+        let columns = (P_OFFSET..=P_ROLLING_FRICTION).map(|name| {
+            let next = if name < P_ROLLING_FRICTION { self.tables.at(name + 1) } else { parameters.len() };
+            let column = self.tables.at(name)..next;
+            let bits = |numbers: &[f32]| numbers[column.clone()].iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+            u32::from(bits(parameters) != bits(others)) << (name - P_OFFSET)
+        });
+        columns.fold(0, |all, bit| all | bit)
+    }
+
+    /// Tiles of the parameters of all robots, where all have the same ones.
     pub fn spread(&self, parameters: &[f32]) -> Vec<f32> {
-        let tile = parameters.iter().flat_map(|&number| [number; TILE]);
+        let tile = parameters.iter().flat_map(|&number| std::iter::repeat_n(number, self.tile));
         std::iter::repeat_n(tile, self.tiles()).flatten().collect()
     }
 
     /// The part of separate parameters that holds a robot's tile.
     pub fn parameters_of_tile(&self, tile: usize) -> Range<usize> {
-        let size = self.tables.sizes.parameters * TILE;
+        let size = self.tables.sizes.parameters * self.tile;
         tile * size..(tile + 1) * size
     }
 
     /// Writes a robot's parameters among those of all robots.
     pub fn write_parameters(&self, all: &mut [f32], robot: usize, parameters: &[f32]) {
-        let columns = &mut all[self.parameters_of_tile(robot / TILE)][robot % TILE..];
-        write_columns(columns, parameters);
+        let columns = &mut all[self.parameters_of_tile(robot / self.tile)][robot % self.tile..];
+        columns.iter_mut().step_by(self.tile).zip(parameters).for_each(|(place, number)| *place = *number);
     }
-}
-
-fn write_columns(columns: &mut [f32], numbers: &[f32]) {
-    columns.iter_mut().step_by(TILE).zip(numbers).for_each(|(place, number)| *place = *number);
 }
 
 #[inline]
@@ -298,7 +310,8 @@ impl<'a> Exchange<'a> {
 pub struct Block {
     shape: Shape,
     parameters: Vec<f32>,
-    shared: bool,
+    common: Vec<f32>,
+    own: u32,
     exchanged: Vec<f32>,
     work: Vec<f32>,
     work_integers: Vec<i32>,
@@ -310,8 +323,10 @@ pub struct Parts<'a> {
     pub integers: &'a [i32],
     /// Table of numbers.
     pub numbers: &'a [f32],
-    /// Parameters: tiles, or one list for all robots.
+    /// Tiles of each robot's parameters; empty while all robots have the same ones.
     pub parameters: &'a [f32],
+    /// The parameters of all robots.
+    pub common: &'a [f32],
     /// Rows of the drive.
     pub drive: &'a [f32],
     /// Rows of the state.
@@ -326,8 +341,8 @@ pub struct Parts<'a> {
     pub work_integers: &'a mut [i32],
     /// Number of robots.
     pub robots: usize,
-    /// Whether all robots read one list of parameters.
-    pub shared: bool,
+    /// Columns of parameters of which each robot reads its own: a bit for each.
+    pub own: u32,
     /// Contacts that the list of impulses has room for.
     pub capacity: usize,
 }
@@ -355,7 +370,8 @@ impl Block {
         let [work, work_integers] = shape.scratch();
         Self {
             parameters: Vec::new(),
-            shared: false,
+            common: Vec::new(),
+            own: 0,
             exchanged: vec![0.0; shape.exchanged()],
             work: vec![0.0; work],
             work_integers: vec![0; work_integers],
@@ -380,24 +396,28 @@ impl Block {
 
     /// Gives all robots the same parameters, which are held once.
     pub fn share_parameters(&mut self, parameters: &Parameters<f32>) {
-        self.parameters = list(parameters);
-        self.shared = true;
+        self.common = list(parameters);
+        self.own = 0;
+        self.parameters.clear();
     }
 
     /// Gives a robot its own parameters.
     pub fn write_parameters(&mut self, robot: usize, parameters: &Parameters<f32>) {
-        if self.shared || self.parameters.is_empty() {
-            let zeros = || vec![0.0; self.shape.tables.sizes.parameters];
-            let common = if self.shared { std::mem::take(&mut self.parameters) } else { zeros() };
-            self.parameters = self.shape.spread(&common);
-            self.shared = false;
+        let parameters = list(parameters);
+        if self.common.is_empty() {
+            self.common = vec![0.0; parameters.len()];
         }
-        self.shape.write_parameters(&mut self.parameters, robot, &list(parameters));
+        self.own |= self.shape.differing(&parameters, &self.common);
+        if self.parameters.is_empty() {
+            self.parameters = self.shape.spread(&self.common);
+        }
+        self.shape.write_parameters(&mut self.parameters, robot, &parameters);
     }
 
-    /// Takes over parameters as lists: one for all robots, or the tiles of all.
-    pub fn set_parameters(&mut self, parameters: &[f32], shared: bool) {
-        (self.parameters, self.shared) = (parameters.to_vec(), shared);
+    /// Takes over parameters: those of all robots, the columns of which each robot reads its own,
+    /// and the tiles that have these.
+    pub fn set_parameters(&mut self, common: &[f32], own: u32, tiles: &[f32]) {
+        (self.common, self.own, self.parameters) = (common.to_vec(), own, tiles.to_vec());
     }
 
     /// Writes a robot's state.
@@ -478,26 +498,27 @@ impl Block {
             }
         }
         rows.read_sites(robot, &mut report.site_position, &mut report.site_velocity);
-        let tables = &self.shape.tables;
-        let place = |size: usize, name: usize| (robot / TILE * size + tables.at(name)) * TILE + robot % TILE;
-        let of_work = self.work[place(tables.sizes.work, W_DEMANDS)..].iter().step_by(TILE);
+        let Shape { tables, tile, .. } = &self.shape;
+        let place = |size: usize, name: usize| (robot / tile * size + tables.at(name)) * tile + robot % tile;
+        let of_work = self.work[place(tables.sizes.work, W_DEMANDS)..].iter().step_by(*tile);
         demands.iter_mut().zip(of_work).for_each(|(demand, place)| *demand = *place);
         let all = &self.work_integers[place(tables.sizes.work_integers, I_TOUCHED)..];
-        for (touched, place) in touched.iter_mut().zip(all.iter().step_by(TILE)) {
+        for (touched, place) in touched.iter_mut().zip(all.iter().step_by(*tile)) {
             *touched = *place != 0;
         }
     }
 
     /// The arrays of the block.
     pub fn parts(&mut self) -> Parts<'_> {
-        let Self { shape, parameters, shared, exchanged, work, work_integers } = self;
+        let Self { shape, parameters, common, own, exchanged, work, work_integers } = self;
         let Exchange { drive, state, report, .. } = shape.exchange(exchanged);
         let Tables { integers, numbers, grid, .. } = &shape.tables;
-        let (robots, shared, capacity) = (shape.robots, *shared, shape.capacity);
+        let (robots, own, capacity) = (shape.robots, *own, shape.capacity);
         Parts {
             integers,
             numbers,
             parameters,
+            common,
             drive,
             state,
             report,
@@ -505,7 +526,7 @@ impl Block {
             work,
             work_integers,
             robots,
-            shared,
+            own,
             capacity,
         }
     }
@@ -513,7 +534,8 @@ impl Block {
     /// Whether these are physics steps of a control step, and the robots have parameters: else a
     /// kernel would read beyond its arrays.
     pub fn may_step(&self, substeps: &Range<usize>) -> bool {
-        substeps.end <= self.shape.decimation() && !self.parameters.is_empty()
+        let has_parameters = !self.common.is_empty() && (self.own == 0 || !self.parameters.is_empty());
+        substeps.end <= self.shape.decimation() && has_parameters
     }
 }
 

@@ -111,16 +111,17 @@ pub trait DeviceBlock: Send + Sync {
     /// Tables and sizes.
     fn shape(&self) -> &Shape;
 
-    /// Rows that the host shares with the device. Only between [`finish`](Self::finish) and
-    /// [`Device::launch`] does the host read and write them.
+    /// Rows that the host shares with the device. The host reads and writes them only
+    /// from when the step [is done](Self::contacts_if_done) to [`Device::launch`].
     fn exchange(&mut self) -> Exchange<'_>;
 
-    /// Takes over parameters: one list for all robots if they are `shared`, else the tiles of
-    /// `all` that have changed.
+    /// Takes over parameters: those of all robots, the columns of which each robot reads its own, a
+    /// bit for each, and, where there are any, the tiles that have changed.
     ///
     /// # Errors
     /// Too little memory, or a device that is lost.
-    fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError>;
+    fn set_parameters(&mut self, common: &[f32], own: u32, tiles: &[f32], changed: &[usize])
+    -> Result<(), DeviceError>;
 
     /// Notes a control step for the next [`Device::launch`]: drive and state to the device, the
     /// physics steps, state and report to the host.
@@ -129,11 +130,12 @@ pub trait DeviceBlock: Send + Sync {
     /// A device that is lost.
     fn start(&mut self) -> Result<(), DeviceError>;
 
-    /// Waits for the end of the control step.
+    /// The most contacts of a robot that press, if the control step has ended. Does not wait. More
+    /// contacts than lists have room for are lost.
     ///
     /// # Errors
     /// A device that is lost.
-    fn finish(&mut self) -> Result<(), DeviceError>;
+    fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError>;
 
     /// Whether steps are as fast as they will be; asking begins what there is to prepare.
     fn is_ready(&mut self) -> bool {

@@ -3,6 +3,7 @@
 
 use std::ffi::c_int;
 use std::ptr::NonNull;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use cudarc::driver::sys::{CUdeviceptr, CUevent_flags, CUresult};
@@ -21,6 +22,9 @@ const OLDEST_CUDA: i32 = 11040;
 const OLDEST_CAPABILITY: (i32, i32) = (8, 0);
 /// Threads of a warp, which are a block of the kernel.
 const THREADS: usize = 32;
+/// Looks at a number in the host's memory for each question to the driver, which is slow and knows
+/// whether the card is lost.
+const POLLS_OF_CARD: u32 = 1 << 12;
 /// Bytes that the context and the kernel take beyond the robots' memory.
 const RESERVED: usize = 64 << 20;
 
@@ -31,6 +35,7 @@ struct Arguments {
     integers: CUdeviceptr,
     numbers: CUdeviceptr,
     parameters: CUdeviceptr,
+    common: CUdeviceptr,
     drive: CUdeviceptr,
     state: CUdeviceptr,
     report: CUdeviceptr,
@@ -38,12 +43,15 @@ struct Arguments {
     grid: CUdeviceptr,
     work: CUdeviceptr,
     work_integers: CUdeviceptr,
+    ended: CUdeviceptr,
+    done: CUdeviceptr,
     robots: c_int,
-    shared: c_int,
+    own: u32,
     capacity: c_int,
     first: c_int,
     end: c_int,
     warp: c_int,
+    number: c_int,
 }
 
 pub(crate) fn call(call: &'static str) -> impl Fn(DriverError) -> DeviceError {
@@ -172,6 +180,21 @@ impl Queue {
         streams.try_for_each(|stream| stream.synchronize()).map_err(call("cuStreamSynchronize"))
     }
 
+    /// Whether the card has ended all work.
+    fn is_finished(&self) -> Result<bool, DeviceError> {
+        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let others = locked(&self.others);
+        for stream in std::iter::once(&self.stream).chain(&*others) {
+            // SAFETY: the stream lives
+            match unsafe { sys::cuStreamQuery(stream.cu_stream()) }.result() {
+                Ok(()) => {}
+                Err(DriverError(CUresult::CUDA_ERROR_NOT_READY)) => return Ok(false),
+                Err(error) => return Err(call("cuStreamQuery")(error)),
+            }
+        }
+        Ok(true)
+    }
+
     /// The stream of the n-th launch of a control step.
     fn stream_of(&self, n: usize) -> Result<Arc<CudaStream>, DeviceError> {
         let mut others = locked(&self.others);
@@ -261,6 +284,9 @@ impl Device for Card {
     }
 
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
+        // the robots of a warp make a tile
+        let tile = THREADS / self.kernels.prepare(shape.robots)?;
+        let shape = shape.with_tile(tile);
         let [work, work_integers] = shape.scratch();
         let exchanged = shape.exchanged();
         let needed = size_of::<f32>() * (work + work_integers + exchanged) + RESERVED;
@@ -281,14 +307,18 @@ impl Device for Card {
             numbers,
             grid: self.grid(&shape.tables.grid, stream).map_err(memory)?,
             parameters: stream.alloc_zeros(1).map_err(memory)?,
-            shared: true,
+            common: stream.alloc_zeros(shape.tables.sizes.parameters.max(1)).map_err(memory)?,
+            own_columns: 0,
             exchanged: stream.alloc_zeros(exchanged).map_err(memory)?,
             work: stream.alloc_zeros(work.max(1)).map_err(memory)?,
             work_integers: stream.alloc_zeros(work_integers.max(1)).map_err(memory)?,
             host: Pinned::new(&self.context, exchanged).map_err(memory)?,
+            ended: stream.alloc_zeros(2).map_err(memory)?,
+            done: Pinned::new(&self.context, 2).map_err(memory)?,
             kernels: self.kernels.clone(),
             own: self.kernels.of_new_block(&shape.tables),
             steps: 0,
+            polls: 0,
             queue: self.queue.clone(),
             shape,
         };
@@ -321,6 +351,7 @@ unsafe impl<T: Sync> Sync for Pinned<T> {}
 /// Types for which zeros are values, and which need no drop.
 trait Plain: Copy {}
 impl Plain for f32 {}
+impl Plain for u32 {}
 impl Plain for Arguments {}
 
 impl<T: Plain> Pinned<T> {
@@ -365,16 +396,24 @@ struct CardBlock {
     numbers: CudaSlice<f32>,
     grid: Arc<CudaSlice<f32>>,
     parameters: CudaSlice<f32>,
-    shared: bool,
+    common: CudaSlice<f32>,
+    own_columns: u32,
     exchanged: CudaSlice<f32>,
     work: CudaSlice<f32>,
     work_integers: CudaSlice<i32>,
     /// The rows, which the kernel reads and writes where they are.
     host: Pinned<f32>,
+    /// Warps that have ended, and the most contacts, on the card.
+    ended: CudaSlice<u32>,
+    /// The number of the last control step that all warps have ended, and the most contacts of a
+    /// robot, which the card writes.
+    done: Pinned<u32>,
     kernels: Arc<Kernels>,
     own: Option<Own>,
     /// Control steps so far.
     steps: u32,
+    /// Looks at `done` so far.
+    polls: u32,
     queue: Arc<Queue>,
 }
 
@@ -396,6 +435,7 @@ impl CardBlock {
             integers: integer(&self.integers),
             numbers: float(&self.numbers),
             parameters: float(&self.parameters),
+            common: float(&self.common),
             drive,
             state,
             report,
@@ -403,12 +443,15 @@ impl CardBlock {
             grid: float(&self.grid),
             work: float(&self.work),
             work_integers: integer(&self.work_integers),
+            ended: self.ended.device_ptr(stream).0,
+            done: self.done.address(),
             robots: whole(self.shape.robots),
-            shared: c_int::from(self.shared),
+            own: self.own_columns,
             capacity: whole(self.shape.capacity),
             first: 0,
             end: whole(self.shape.decimation()),
             warp: 0,
+            number: self.steps.cast_signed(),
         }
     }
 }
@@ -423,17 +466,24 @@ impl DeviceBlock for CardBlock {
         shape.exchange(host.numbers())
     }
 
-    fn set_parameters(&mut self, all: &[f32], shared: bool, changed: &[usize]) -> Result<(), DeviceError> {
+    fn set_parameters(
+        &mut self,
+        common: &[f32],
+        own: u32,
+        tiles: &[f32],
+        changed: &[usize],
+    ) -> Result<(), DeviceError> {
         let stream = &self.queue.stream;
         stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
-        self.shared = shared;
-        if shared || self.parameters.len() != all.len() {
-            self.parameters = stream.clone_htod(all).map_err(call("cuMemcpyHtoD"))?;
-        } else {
+        self.own_columns = own;
+        stream.memcpy_htod(common, &mut self.common).map_err(call("cuMemcpyHtoD"))?;
+        if own != 0 && self.parameters.len() != tiles.len() {
+            self.parameters = stream.clone_htod(tiles).map_err(call("cuMemcpyHtoD"))?;
+        } else if own != 0 {
             for &tile in changed {
                 let part = self.shape.parameters_of_tile(tile);
                 let mut to = self.parameters.slice_mut(part.clone());
-                stream.memcpy_htod(&all[part], &mut to).map_err(call("cuMemcpyHtoD"))?;
+                stream.memcpy_htod(&tiles[part], &mut to).map_err(call("cuMemcpyHtoD"))?;
             }
         }
         stream.synchronize().map_err(call("cuStreamSynchronize"))
@@ -441,14 +491,27 @@ impl DeviceBlock for CardBlock {
 
     fn start(&mut self) -> Result<(), DeviceError> {
         let kernel = self.kernels.for_step(&self.shape.tables, &mut self.own, self.steps)?;
-        self.steps = self.steps.saturating_add(1);
+        self.steps = self.steps.wrapping_add(1);
         let arguments = self.arguments();
         locked(&self.queue.launch).waiting.push((kernel, arguments));
         Ok(())
     }
 
-    fn finish(&mut self) -> Result<(), DeviceError> {
-        self.queue.finish()
+    fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError> {
+        let [number, contacts] = [0, 1].map(|place| &raw mut self.done.numbers()[place]);
+        // SAFETY: the numbers live, and nobody but the card writes them
+        let [number, contacts] = [number, contacts].map(|at| unsafe { AtomicU32::from_ptr(at) });
+        let is_done = || number.load(Ordering::Acquire) == self.steps;
+        if !is_done() {
+            self.polls = self.polls.wrapping_add(1);
+            if !self.polls.is_multiple_of(POLLS_OF_CARD) || !self.queue.is_finished()? {
+                return Ok(None);
+            }
+            if !is_done() {
+                return Err(DeviceError::Call { call: "cuLaunchKernel", text: "it ended without a result".into() });
+            }
+        }
+        Ok(Some(contacts.load(Ordering::Relaxed) as usize))
     }
 
     fn is_ready(&mut self) -> bool {

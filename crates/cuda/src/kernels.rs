@@ -110,7 +110,7 @@ impl Kernels {
         if let Some((_, threads)) = self.common.get() {
             return Ok(*threads);
         }
-        let threads = nvrtc::threads_of_robot(robots);
+        let threads = nvrtc::threads_of_robot(robots, self.choice == Choice::Own);
         let function = load(&self.context, nvrtc::compile(None, threads)?)?;
         Ok(self.common.get_or_init(|| (function, threads)).1)
     }

@@ -11,7 +11,7 @@ mod layout;
 mod nvrtc;
 mod tables;
 
-pub use columns::{Block, Exchange, Motion, Parts, ROBOTS_OF_TILE, Shape, list};
+pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError};
 pub use driver::{Card, Found, find};
 pub use heights::Heights;

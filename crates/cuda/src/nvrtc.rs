@@ -14,7 +14,7 @@ use libloading::{Library, Symbol};
 
 use crate::DEVICE_TEXT;
 use crate::device::DeviceError;
-use crate::layout::{FEW_ROBOTS, THREADS_OF_FEW};
+use crate::layout::{FEW_ROBOTS, MORE_ROBOTS, THREADS_OF_FEW, THREADS_OF_MORE};
 
 /// Environment variable that names the library.
 const VARIABLE: &str = "POLYPOD_NVRTC";
@@ -40,11 +40,16 @@ const NAMES: [&str; 5] = ["libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so", "nv
 
 static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
 
-/// Threads that step each of some robots together. Few robots do not fill a card.
-pub(crate) fn threads_of_robot(robots: usize) -> usize {
+/// Threads that step each of some robots together, with own kernels or without. Few robots do not
+/// fill a card.
+pub(crate) fn threads_of_robot(robots: usize, own: bool) -> usize {
     let asked = std::env::var(THREADS_VARIABLE).ok().and_then(|threads| threads.parse().ok());
     let asked = asked.filter(|threads| [1, 2, 4, 8, 16].contains(threads));
-    asked.unwrap_or(if robots <= FEW_ROBOTS { THREADS_OF_FEW } else { 1 })
+    asked.unwrap_or(match robots {
+        ..=FEW_ROBOTS => THREADS_OF_FEW,
+        ..=MORE_ROBOTS if own => THREADS_OF_MORE,
+        _ => 1,
+    })
 }
 
 /// Folders of Python packages, in which the wheels of NVIDIA have `nvidia/*/lib/libnvrtc.so.*`.

@@ -116,7 +116,7 @@ impl Tables {
         ] {
             header[name] = size;
             // places in a tile are counted in 32 bits
-            i32::try_from(TILE * (size + LISTED_SIZE * sizes.impulses)).map_err(|_| Unsupported::TooLarge)?;
+            i32::try_from(WARP * (size + LISTED_SIZE * sizes.impulses)).map_err(|_| Unsupported::TooLarge)?;
         }
         let integers = header.into_iter().chain(lists.integers).map(i32::try_from).collect::<Result<_, _>>();
         let integers = integers.map_err(|_| Unsupported::TooLarge)?;

@@ -2,8 +2,9 @@
 //! bits of the CPU.
 //!
 //! Robots live in their components. A control step copies states and drives into rows in pinned
-//! memory, and one launch steps the robots of all morphologies. Components are written when all
-//! blocks are back: if the card is lost, the CPU's engine makes the same step from them.
+//! memory, and one launch steps the robots of all morphologies. The components of a morphology are
+//! written when all its robots are back: if the card is lost, the CPU's engine makes the same step
+//! of the others.
 
 mod robots;
 mod trial;
@@ -198,9 +199,32 @@ fn begin(means: &Means<'_>, taken: &mut Taken<'_, '_>) -> Result<(), DeviceError
     means.device.launch()
 }
 
-/// Waits for the end of the step.
-fn end(means: &Means<'_>, taken: &mut Taken<'_, '_>) -> Result<(), DeviceError> {
-    taken.iter_mut().try_for_each(|(robots, block)| robots.finish(means, block))
+/// Waits for the robots, and writes the components of those that are back while the others step.
+/// Leaves in `taken` those whose components are as before, if the device fails. Returns the
+/// records, and the time that writing took.
+fn end(
+    means: &Means<'_>,
+    taken: &mut Taken<'_, '_>,
+    run: &Run,
+    found: &mut Vec<DivergenceRecord>,
+) -> Result<Duration, DeviceError> {
+    let mut writing = Duration::ZERO;
+    while !taken.is_empty() {
+        let done = taken.iter_mut().map(|(robots, block)| robots.is_done(means, block));
+        let done: Vec<bool> = done.collect::<Result<_, _>>()?;
+        if !done.contains(&true) {
+            std::hint::spin_loop();
+            continue;
+        }
+        let begun = Instant::now();
+        let all = std::mem::take(taken).into_iter().zip(done);
+        let (back, waiting): (Vec<_>, Vec<_>) = all.partition(|(_, done)| *done);
+        *taken = waiting.into_iter().map(|(waiting, _)| waiting).collect();
+        let mut back: Taken = back.into_iter().map(|(back, _)| back).collect();
+        found.extend(robots::write_rows(means.workers, pairs(&mut back), run));
+        writing += begun.elapsed();
+    }
+    Ok(writing)
 }
 
 impl DeviceEngine {
@@ -263,26 +287,27 @@ impl Engine for DeviceEngine {
         let mut found =
             if of_cpu.is_empty() { Vec::new() } else { on_cpu.step(workers, BlockList::new(of_cpu.into_iter()), run) };
         let stepped = Instant::now();
-        let done = launched.and_then(|()| end(&means, &mut taken));
-        let finished = Instant::now();
-        if let Err(error) = done {
-            tracing::warn!(
-                "physics.engine: the card failed ({error}); the simulation goes on from the last control step with the \
+        let done = launched.and_then(|()| end(&means, &mut taken, &run, &mut found));
+        match done {
+            Ok(writing) => {
+                if let Some(times) = times {
+                    times.gather += started - begun;
+                    times.on_cpu += stepped - started;
+                    times.wait += stepped.elapsed().saturating_sub(writing);
+                    times.scatter += writing;
+                    times.steps += 1;
+                    times.kernel += device.seconds().unwrap_or(0.0);
+                }
+            }
+            Err(error) => {
+                tracing::warn!(
+                    "physics.engine: the card failed ({error}); the simulation goes on from the last control step with the \
                  engine articulated, on the CPU and with the same bits"
-            );
-            let mut blocks: Vec<_> = taken.into_iter().map(|(_, block)| block).collect();
-            blocks.sort_by_key(|block| block.envs.start);
-            found.extend(on_cpu.step(workers, BlockList::new(blocks.into_iter()), run));
-            *placed = None;
-        } else {
-            found.extend(robots::write_rows(workers, pairs(&mut taken), &run));
-            if let Some(times) = times {
-                times.gather += started - begun;
-                times.on_cpu += stepped - started;
-                times.wait += finished - stepped;
-                times.scatter += finished.elapsed();
-                times.steps += 1;
-                times.kernel += device.seconds().unwrap_or(0.0);
+                );
+                let mut blocks: Vec<_> = taken.into_iter().map(|(_, block)| block).collect();
+                blocks.sort_by_key(|block| block.envs.start);
+                found.extend(on_cpu.step(workers, BlockList::new(blocks.into_iter()), run));
+                *placed = None;
             }
         }
         found.sort_by_key(|record| record.env);

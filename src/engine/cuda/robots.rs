@@ -4,7 +4,7 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, ROBOTS_OF_TILE, Scene, Shape, list};
+use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, Scene, Shape, list};
 use smallvec::SmallVec;
 
 use super::super::{DivergenceRecord, RobotRows, RobotSlices, Run, StateLimits, history_length};
@@ -17,6 +17,8 @@ use crate::workers::{SplitRows, Workers};
 /// Contacts that lists of impulses have room for at first: those of a standing quadruped. Room that
 /// robots do not use is transferred too.
 const FIRST_CAPACITY: usize = 4;
+/// Robots between the one that is copied and the one whose components are prefetched.
+const PREFETCHED: usize = 4;
 /// Fewest robots that a thread copies at a time.
 const MIN_ROBOTS: usize = 64;
 
@@ -38,10 +40,14 @@ pub(super) struct Robots {
     /// Links and frames of the forces from outside so far, in rising order.
     forces: Vec<(usize, bool)>,
     nominal: Parameters<f32>,
-    /// One list while all robots have the morphology's parameters, then the tiles of all robots.
+    /// Tiles of the robots' parameters; empty while all have the morphology's.
     parameters: Vec<f32>,
-    shared: bool,
-    /// Tiles whose parameters the device does not have yet; for shared ones, any tile.
+    /// The morphology's parameters.
+    common: Vec<f32>,
+    /// Columns of parameters in which a robot differs from its morphology, a bit for each: the
+    /// device reads the other ones once for all robots.
+    own: u32,
+    /// Tiles whose parameters the device does not have yet; while there are none, any tile.
     changed: Vec<bool>,
     /// Contact bodies that are feet, and the others.
     feet: Vec<usize>,
@@ -119,6 +125,7 @@ impl Part<'_, '_> {
         let Self { rows, mut exchange, common: Common { ages, forces, needs, .. }, .. } = self;
         let (mut contacts, mut unknown) = (0, false);
         for row in 0..rows.poses.len() {
+            prefetch_after(&rows, row);
             let (pose, velocity, joints) = (&rows.poses[row], &rows.velocities[row], &rows.joints[row]);
             let impulses = &rows.impulses[row];
             exchange.write_motion(
@@ -157,8 +164,19 @@ impl Part<'_, '_> {
         let Self { morphology, first, mut rows, exchange, common } = self;
         let broken = limits.and_then(|limits| first_broken(&rows, &exchange, limits));
         rows.record(broken, morphology, common.first_env + first, |rows| {
-            (0..rows.poses.len()).for_each(|row| write_row(rows, row, &exchange, common.feet, common.others));
+            for row in 0..rows.poses.len() {
+                prefetch_after(rows, row);
+                write_row(rows, row, &exchange, common.feet, common.others);
+            }
         })
+    }
+}
+
+/// Prefetches the components of a robot some rows on: there are more columns of them than a
+/// processor follows.
+fn prefetch_after(rows: &RobotSlices<'_>, row: usize) {
+    if row + PREFETCHED < rows.poses.len() {
+        rows.prefetch(row + PREFETCHED);
     }
 }
 
@@ -184,7 +202,6 @@ impl Robots {
         let MorphologyModel { topology, networks, nominal, feet, .. } = morphology;
         let scene = Scene { terrain: heights, networks, ages, link_forces: &[] };
         let shape = Shape::new(topology, settings, &scene, count, FIRST_CAPACITY)?;
-        let tiles = shape.tiles();
         let block = device.allocate(shape)?;
         Ok(Self {
             envs: first_env..first_env + count,
@@ -193,9 +210,10 @@ impl Robots {
             ages,
             forces: Vec::new(),
             nominal: nominal.clone(),
-            parameters: list(nominal),
-            shared: true,
-            changed: vec![true; tiles],
+            parameters: Vec::new(),
+            common: list(nominal),
+            own: 0,
+            changed: vec![true; block.shape().tiles()],
             feet: feet.to_vec(),
             others: (0..topology.num_bodies).filter(|body| !feet.contains(body)).collect(),
             block,
@@ -221,18 +239,18 @@ impl Robots {
     /// Takes over the parameters of an env's robot.
     pub(super) fn upload(&mut self, env: usize, parameters: &Parameters<f32>) {
         let differs = |own: &f32, common: &f32| own.to_bits() != common.to_bits();
-        if self.shared && !parameters.any_with(&self.nominal, differs) {
+        if self.own == 0 && !parameters.any_with(&self.nominal, differs) {
             return;
         }
-        let shape = self.block.shape();
-        if self.shared {
-            self.parameters = shape.spread(&self.parameters);
-            self.shared = false;
+        let (shape, parameters) = (self.block.shape(), list(parameters));
+        if self.parameters.is_empty() {
+            self.parameters = shape.spread(&self.common);
             self.changed.fill(true);
         }
+        self.own |= shape.differing(&parameters, &self.common);
         let robot = env - self.envs.start;
-        shape.write_parameters(&mut self.parameters, robot, &list(parameters));
-        self.changed[robot / ROBOTS_OF_TILE] = true;
+        shape.write_parameters(&mut self.parameters, robot, &parameters);
+        self.changed[robot / shape.tile] = true;
     }
 
     /// Parts of at most some robots each.
@@ -265,30 +283,31 @@ impl Robots {
         }
         if self.changed.contains(&true) {
             let changed: Vec<usize> = (0..self.changed.len()).filter(|&tile| self.changed[tile]).collect();
-            self.block.set_parameters(&self.parameters, self.shared, &changed)?;
+            self.block.set_parameters(&self.common, self.own, &self.parameters, &changed)?;
             self.changed.fill(false);
         }
         self.block.start()
     }
 
-    /// Waits for the end of the step. Where a robot has more contacts than there was room for, the
-    /// step is made again: its inputs are in the rows as they were.
+    /// Whether the step has ended, so that its rows may be written. Where a robot has more contacts
+    /// than there was room for, the step is made again: its inputs are still in the components.
     ///
     /// # Errors
     /// As [`start`](Self::start).
-    pub(super) fn finish(&mut self, means: &Means<'_>, block: &mut Block<RobotSlices<'_>>) -> Result<(), DeviceError> {
-        loop {
-            self.block.finish()?;
-            let exchange = self.block.exchange();
-            let contacts = (0..self.envs.len()).map(|robot| exchange.num_impulses(robot)).max().unwrap_or(0);
-            if contacts <= self.block.shape().capacity {
-                return Ok(());
-            }
-            self.allocate(means, contacts, self.forces.clone())?;
-            read_rows(means.workers, vec![(&mut *self, &mut *block)]);
-            self.start(means, block)?;
-            means.device.launch()?;
+    pub(super) fn is_done(
+        &mut self,
+        means: &Means<'_>,
+        block: &mut Block<RobotSlices<'_>>,
+    ) -> Result<bool, DeviceError> {
+        let Some(contacts) = self.block.contacts_if_done()? else { return Ok(false) };
+        if contacts <= self.block.shape().capacity {
+            return Ok(true);
         }
+        self.allocate(means, contacts, self.forces.clone())?;
+        read_rows(means.workers, vec![(&mut *self, &mut *block)]);
+        self.start(means, block)?;
+        means.device.launch()?;
+        Ok(false)
     }
 
     /// Memory with more room: for more contacts, or for forces on more links.

@@ -19,6 +19,7 @@ struct Arguments {
     integers: *const c_int,
     numbers: *const f32,
     parameters: *const f32,
+    common: *const f32,
     drive: *const f32,
     state: *mut f32,
     report: *mut f32,
@@ -26,12 +27,15 @@ struct Arguments {
     grid: *const f32,
     work: *mut f32,
     work_integers: *mut c_int,
+    ended: *mut u32,
+    done: *mut u32,
     robots: c_int,
-    shared: c_int,
+    own: u32,
     capacity: c_int,
     first: c_int,
     end: c_int,
     warp: c_int,
+    number: c_int,
 }
 
 type Step = unsafe extern "C" fn(*const Arguments);
@@ -114,12 +118,13 @@ fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
     if !block.may_step(&substeps) {
         return false;
     }
-    let Parts { integers, numbers, parameters, drive, state, report, grid, work, work_integers, shared, .. } =
+    let Parts { integers, numbers, parameters, common, drive, state, report, grid, work, work_integers, own, .. } =
         block.parts();
     let arguments = Arguments {
         integers: integers.as_ptr(),
         numbers: numbers.as_ptr(),
         parameters: parameters.as_ptr(),
+        common: common.as_ptr(),
         drive: drive.as_ptr(),
         state: state.as_mut_ptr(),
         report: report.as_mut_ptr(),
@@ -127,12 +132,15 @@ fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
         grid: grid.as_ptr(),
         work: work.as_mut_ptr(),
         work_integers: work_integers.as_mut_ptr(),
+        ended: std::ptr::null_mut(),
+        done: std::ptr::null_mut(),
         robots,
-        shared: c_int::from(shared),
+        own,
         capacity,
         first,
         end,
         warp: 0,
+        number: 0,
     };
     // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
     // text; it keeps no pointer
@@ -164,8 +172,14 @@ impl DeviceBlock for HostBlock {
         self.0.exchange()
     }
 
-    fn set_parameters(&mut self, all: &[f32], shared: bool, _changed: &[usize]) -> Result<(), DeviceError> {
-        self.0.set_parameters(all, shared);
+    fn set_parameters(
+        &mut self,
+        common: &[f32],
+        own: u32,
+        tiles: &[f32],
+        _changed: &[usize],
+    ) -> Result<(), DeviceError> {
+        self.0.set_parameters(common, own, tiles);
         Ok(())
     }
 
@@ -175,7 +189,8 @@ impl DeviceBlock for HostBlock {
         if made { Ok(()) } else { Err(DeviceError::Call { call: "step_on_host", text: "no parameters".into() }) }
     }
 
-    fn finish(&mut self) -> Result<(), DeviceError> {
-        Ok(())
+    fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError> {
+        let (robots, exchange) = (self.0.robots(), self.0.exchange());
+        Ok((0..robots).map(|robot| exchange.num_impulses(robot)).max())
     }
 }
