@@ -211,7 +211,7 @@ def main() -> None:
     parser.add_argument("--stages", help="names, with commas between; all by default")
     parser.add_argument("--together", type=int, default=1, help="trainings at a time")
     parser.add_argument("--threads", type=int, help="threads of each training; all cores by default")
-    parser.add_argument("--iterations", type=int, help="of each stage, in place of the plan's")
+    parser.add_argument("--iterations", type=int, help="number for each stage, in place of the plan's")
     parser.add_argument("--seconds", type=float, help="after which trainings end, with a checkpoint")
     arguments = parser.parse_args()
     began = time.monotonic()

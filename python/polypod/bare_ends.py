@@ -65,7 +65,7 @@ def add_boxes(robot: ElementTree.Element, held: Collection[str]) -> list[str]:
 
 
 def note(link: str) -> str:
-    """What is assumed of a link that has a box."""
+    """Says what is assumed of a link that has a box."""
     problem = "no limb's end has a <collision>; the box of its inertia takes its place"
     return f'link "{link}": {problem}; write a <collision> with a sphere, box, cylinder or capsule'
 

@@ -1,7 +1,7 @@
 """Base frames of URDFs whose axes are not x forward and z up, as CAD programs write them.
 
-In such a frame legs lie beside the body or above it, and pitch is roll: the joints of a robot get
-the roles of others, or none. An empty root above the base, with the right axes, mends that:
+In such a frame legs lie to one side of the body, and pitch is roll: the joints of a robot get the
+roles of others, or none. An empty root above the base, with the right axes, mends that:
 `src/robot/base.rs` takes the frame whose axes fit the joints.
 """
 
@@ -30,7 +30,7 @@ def put_upright(robot: ElementTree.Element) -> str | None:
     """Puts an empty root with the right axes above that of a URDF, where it lacks them.
 
     Returns:
-        What was assumed, in a line; None where the axes are right or nothing tells the right ones.
+        A line that says what was assumed; None where the axes are right or unknown.
     """
     frames, joints = _zero_pose(robot)
     axes = [frames[joint.find("child").get("link")][0] @ _axis(joint) for joint in joints]  # type: ignore[union-attr]

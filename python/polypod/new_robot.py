@@ -198,7 +198,7 @@ def _copy(
     held: Collection[str],
     packages: Collection[str],
 ) -> urdf_copies.Copy | None:
-    """The copy of a URDF of which drafts are made, in this folder; None where it is right as it is."""
+    """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
     what, endings, notes = [], "", []
     links = bare_ends.add_boxes(robot, held)
     if (turned := _upright(urdf, robot, drafts_of, packages)) is not None:
