@@ -1,10 +1,12 @@
-"""Base frames of URDFs whose axes are not x forward and z up, as CAD programs write them.
+"""Base frames of URDFs that are not x forward and z up in the middle, as CAD programs write them.
 
 In such a frame legs lie to one side of the body, and pitch is roll: the joints of a robot get the
 roles of others, or none. An empty root above the base, with the right axes, mends that:
-`src/robot/base.rs` takes the frame whose axes fit the joints.
+`src/robot/base.rs` takes the frame whose axes fit the joints. A frame to one side of the middle
+plane is moved.
 """
 
+import itertools
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -22,6 +24,10 @@ ADVANTAGE = 1.1
 hips, knees, ankles and elbows do."""
 ASIDE = 0.03
 """Least distance of a foot from the middle plane, m."""
+OFF = 0.01
+"""A base frame is in the middle plane up to this distance, m."""
+SAME = 0.005
+"""Coordinates of mirror images differ at most by this, m."""
 FARTHEST = 20.0
 """A joint as far from its robot's root, m, is given in millimetres."""
 
@@ -61,6 +67,38 @@ def put_upright(robot: ElementTree.Element) -> str | None:
         f'link "{root}": its joints pitch about {names[lateral]}, so {names[up] if sign > 0 else "-" + names[up]} is '
         f"taken for up and {names[forward]} for forward; let its frame have x forward and z up"
     )
+
+
+def put_in_the_middle(robot: ElementTree.Element) -> str | None:
+    """Moves the root frame of a URDF into the plane between left and right limbs.
+
+    Returns:
+        A line that says by how much; None where it is there, and for limbs without mirror images.
+    """
+    frames, _ = _zero_pose(robot)
+    parents = _ends(robot, "parent")
+    ends = [place for link, (_, place) in frames.items() if link not in parents]
+    pairs = [
+        0.5 * float(one[1] + other[1])
+        for one, other in itertools.combinations(ends, 2)
+        if np.abs((one - other)[[0, 2]]).max() <= SAME and abs(one[1] - other[1]) > 2.0 * ASIDE
+    ]
+    if not pairs or min(abs(middle) for middle in pairs) <= OFF:
+        return None
+    middle = max(pairs, key=lambda own: sum(abs(own - other) <= SAME for other in pairs))
+    root = next(str(link) for link in frames)
+    (link,) = (link for link in robot.findall("link") if link.get("name") == root)
+    if root != ROOT and link.find("inertial") is None:
+        # the base is a link below, whose frame may be another
+        return None
+    below = [joint for joint in robot.findall("joint") if joint.find("parent").get("link") == root]  # type: ignore[union-attr]
+    for part in [*link.findall("inertial"), *link.findall("visual"), *link.findall("collision"), *below]:
+        origin = part.find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(part, "origin")
+        place = _numbers(origin.get("xyz", "0 0 0")) - [0.0, middle, 0.0]
+        origin.set("xyz", " ".join(repr(float(number)) for number in place))
+    return f'link "{root}": its frame lies {-middle:.3f} m to the left of the middle plane; put it there'
 
 
 def is_taken(note: str) -> bool:

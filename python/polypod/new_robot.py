@@ -199,38 +199,40 @@ def _copy(
     packages: Collection[str],
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
-    what, endings, notes = [], "", []
     links = bare_ends.add_boxes(robot, held)
-    if (turned := _upright(urdf, robot, drafts_of, packages)) is not None:
-        robot, assumed = turned
-        what.append("an upright base")
-        endings += "_upright"
-        notes.append(assumed)
-    if links:
-        what.append(f"a box at the end of each limb: {', '.join(links)}")
-        endings += "_with_feet"
-        notes += [bare_ends.note(link) for link in links]
-    if not what:
+    upright = deepcopy(robot)
+    assumed = base_frames.put_upright(upright)
+    moved = base_frames.put_in_the_middle(upright)
+    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages):
+        upright, assumed = robot, None
+        moved = base_frames.put_in_the_middle(upright)
+    ends = f"a box at the end of each limb: {', '.join(links)}"
+    changes = {
+        "upright": ("an upright base", [assumed] if assumed else []),
+        "centred": ("the base frame in the middle", [moved] if moved else []),
+        "with_feet": (ends, [bare_ends.note(link) for link in links]),
+    }
+    made = {ending: change for ending, change in changes.items() if change[1]}
+    if not made:
         return None
-    text = urdf_copies.text_of(robot, f"{urdf.name} with {' and '.join(what)}", urdf, folder, packages)
-    return urdf_copies.Copy(text, f"{urdf.stem}{endings}.urdf", notes)
+    what = f"{urdf.name} with {' and '.join(what for what, _ in made.values())}"
+    text = urdf_copies.text_of(upright, what, urdf, folder, packages)
+    notes = [note for _, own in made.values() for note in own]
+    return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
 
 
-def _upright(
+def _is_taken(
     urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str]
-) -> tuple[ElementTree.Element, str] | None:
-    """A robot's tree with an upright base and what it assumes, where its joints ask for one."""
-    tree = deepcopy(robot)
-    if (assumed := base_frames.put_upright(tree)) is None:
-        return None
+) -> bool:
+    """Whether the joints of a robot fit its upright root better than the root of the file."""
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.urdf"
-        trial.write_text(urdf_copies.text_of(deepcopy(tree), urdf.name, urdf, Path(folder), packages), "utf-8")
+        trial.write_text(urdf_copies.text_of(deepcopy(robot), urdf.name, urdf, Path(folder), packages), "utf-8")
         try:
             notes = drafts_of(trial, urdf=trial.name)["notes"]
         except (_core.RobotError, _core.ConfigError):
-            return None
-    return (tree, assumed) if any(base_frames.is_taken(note) for note in notes) else None
+            return False
+    return any(base_frames.is_taken(note) for note in notes)
 
 
 def _drafts_on(

@@ -21,8 +21,8 @@ FRAMES = {
 """Where the axes of the base forward, left and up point, in the columns."""
 
 
-def turned(text: str, columns: tuple[tuple[int, ...], ...]) -> str:
-    """A URDF whose root has other axes."""
+def turned(text: str, columns: tuple[tuple[int, ...], ...], aside: float = 0.0) -> str:
+    """A URDF whose root has other axes, and a frame that lies to the left of the middle plane."""
     turn = np.array(columns, dtype=np.float64)
     robot = ElementTree.fromstring(text)
     children = {joint.find("child").get("link") for joint in robot.findall("joint")}
@@ -33,7 +33,7 @@ def turned(text: str, columns: tuple[tuple[int, ...], ...]) -> str:
         if origin is None:
             origin = ElementTree.SubElement(part, "origin")
         own, place = base_frames._pose(origin)
-        origin.set("xyz", " ".join(map(str, turn @ place)))
+        origin.set("xyz", " ".join(map(str, turn @ (place - [0.0, aside, 0.0]))))
         origin.set("rpy", " ".join(map(str, base_frames._angles(turn @ own))))
     return ElementTree.tostring(robot, encoding="unicode")
 
@@ -68,10 +68,30 @@ def test_a_turned_base_frame_is_put_upright(tmp_path, frame, robot):
     assert not [note for note in made.notes if base_frames.ROOT in note]
 
 
+@pytest.mark.parametrize("robot", ["fox", "unitree_go2", "unitree_g1"])
+@pytest.mark.parametrize("frame", ["x forward, z up", "x forward, y up"])
+def test_a_base_frame_beside_the_middle_plane_is_moved(tmp_path, frame, robot):
+    """Five centimetres: a waist in that frame is no shoulder."""
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    known = tmp_path / "known.urdf"
+    known.write_text(text)
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    other = tmp_path / "other.urdf"
+    columns = FRAMES.get(frame, ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    other.write_text(turned(text, columns, aside=0.05))
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert config["urdf"] == ("other_upright_centred.urdf" if frame in FRAMES else "other_centred.urdf")
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    assert [note for note in made.notes if "its frame lies 0.050 m to the left of the middle plane" in note]
+
+
 @pytest.mark.parametrize("urdf", LIBRARY, ids=lambda urdf: urdf.parent.name)
 def test_robots_of_the_library_stay_as_they_are(urdf, tmp_path):
     robot = ElementTree.fromstring(urdf.read_text())
     base_frames.check_units(urdf, robot)
+    assert base_frames.put_in_the_middle(robot) is None
     if base_frames.put_upright(robot) is not None:
         # six legs that point away all around: the reader sees no better fit in the other frame
         other = tmp_path / "other.urdf"
