@@ -28,6 +28,8 @@ OFF = 0.01
 """A base frame is in the middle plane up to this distance, m."""
 SAME = 0.005
 """Coordinates of mirror images differ at most by this, m."""
+ENDLESS = 1e9
+"""No joint is as far from another, m."""
 FARTHEST = 20.0
 """A joint as far from its robot's root, m, is given in millimetres."""
 
@@ -125,7 +127,10 @@ def check_units(urdf: Path, robot: ElementTree.Element) -> None:
 def _zero_pose(
     robot: ElementTree.Element,
 ) -> tuple[dict[str | None, tuple[Array, Array]], list[ElementTree.Element]]:
-    """Turn and place of each link in the root's frame, at zero, and the joints that turn."""
+    """Turn and place of each link in the root's frame, at zero, and the joints that turn.
+
+    Nothing, for numbers without a finite pose.
+    """
     below: dict[str | None, list[ElementTree.Element]] = {}
     for joint in robot.findall("joint"):
         if joint.find("parent") is not None and joint.find("child") is not None:
@@ -145,6 +150,8 @@ def _zero_pose(
             if link in frames:
                 return {}, []
             own, offset = _pose(joint.find("origin"))
+            if not np.abs(offset).max() < ENDLESS:
+                return {}, []
             frames[link] = turn @ own, place + turn @ offset
             waiting.append(link)
             if joint.get("type") in TURNING:

@@ -13,6 +13,8 @@ from polypod.files import read_bytes, real_path, relative_path
 
 MOST_BYTES = 64 << 20
 """Largest file that is read."""
+DEEPEST = 64
+"""Deepest element of a URDF; copies of deeper trees do not fit the stack."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,9 +32,19 @@ def read(urdf: Path) -> ElementTree.Element | None:
     """The tree of a URDF; None for what is none: the reader of URDFs says what is wrong."""
     try:
         text = read_bytes(urdf, MOST_BYTES).decode("utf-8-sig")
-        return None if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE) else ElementTree.fromstring(text)
+        if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+            return None
+        robot = ElementTree.fromstring(text)
+        return robot if _is_flat(robot) else None
     except (OSError, ValueError, ElementTree.ParseError):
         return None
+
+
+def _is_flat(robot: ElementTree.Element) -> bool:
+    level, depth = [robot], 0
+    while level and depth < DEEPEST:
+        level, depth = [child for element in level for child in element], depth + 1
+    return not level
 
 
 def text_of(robot: ElementTree.Element, what: str, urdf: Path, folder: Path, packages: Collection[str]) -> str:

@@ -9,7 +9,7 @@ import tomllib
 from test_new_robot import quadruped
 
 from common import ROOT
-from polypod import _core, base_frames
+from polypod import _core, base_frames, urdf_copies
 from polypod.new_robot import new_robot
 
 LIBRARY = sorted((ROOT / "assets" / "robots").glob("*/robot.urdf"))
@@ -119,6 +119,24 @@ def test_a_number_that_is_none_is_named_by_the_reader(tmp_path):
     urdf.write_text(quadruped().replace('<axis xyz="0 1 0"/>', '<axis xyz="0 one 0"/>', 1))
     with pytest.raises(_core.RobotError, match=r"0 one 0|axis"):
         new_robot(urdf, tmp_path / "fox.toml")
+
+
+@pytest.mark.parametrize("number", ["nan", "1e308"])
+def test_a_place_that_is_nowhere_is_named_by_the_reader(tmp_path, number):
+    urdf = tmp_path / "fox.urdf"
+    text = quadruped().replace('<origin xyz="0.24', f'<origin xyz="{number}', 1)
+    assert text != quadruped()
+    urdf.write_text(text)
+    with pytest.raises(_core.RobotError):
+        new_robot(urdf, tmp_path / "fox.toml")
+
+
+def test_a_deep_tree_is_left_to_the_reader(tmp_path):
+    urdf = tmp_path / "deep.urdf"
+    urdf.write_text('<robot name="deep">' + "<a>" * 20_000 + "</a>" * 20_000 + "</robot>")
+    assert urdf_copies.read(urdf) is None
+    with pytest.raises(_core.RobotError):
+        new_robot(urdf, tmp_path / "deep.toml")
 
 
 def test_a_tree_in_a_circle_is_left_to_the_reader():
