@@ -6,7 +6,6 @@ roles of others, or none. An empty root above the base, with the right axes, men
 plane is moved.
 """
 
-import itertools
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -28,6 +27,8 @@ OFF = 0.01
 """A base frame is in the middle plane up to this distance, m."""
 SAME = 0.005
 """Coordinates of mirror images differ at most by this, m."""
+MOST_ENDS = 1000
+"""Most links without another below them that are compared."""
 ENDLESS = 1e9
 """No joint is as far from another, m."""
 FARTHEST = 20.0
@@ -79,15 +80,17 @@ def put_in_the_middle(robot: ElementTree.Element) -> str | None:
     """
     frames, _ = _zero_pose(robot)
     parents = _ends(robot, "parent")
-    ends = [place for link, (_, place) in frames.items() if link not in parents]
-    pairs = [
-        0.5 * float(one[1] + other[1])
-        for one, other in itertools.combinations(ends, 2)
-        if np.abs((one - other)[[0, 2]]).max() <= SAME and abs(one[1] - other[1]) > 2.0 * ASIDE
-    ]
-    if not pairs or min(abs(middle) for middle in pairs) <= OFF:
+    ends = np.array([place for link, (_, place) in frames.items() if link not in parents])
+    if not 2 <= len(ends) <= MOST_ENDS:
         return None
-    middle = max(pairs, key=lambda own: sum(abs(own - other) <= SAME for other in pairs))
+    one, other = (ends[side] for side in np.triu_indices(len(ends), 1))
+    apart = np.abs(one - other)
+    are_images = (apart[:, [0, 2]].max(axis=1) <= SAME) & (apart[:, 1] > 2.0 * ASIDE)
+    middles = np.sort(0.5 * (one + other)[are_images, 1])
+    if not len(middles) or np.abs(middles).min() <= OFF:
+        return None
+    alike = np.searchsorted(middles, middles + SAME, "right") - np.searchsorted(middles, middles - SAME)
+    middle = float(middles[alike.argmax()])
     root = next(str(link) for link in frames)
     (link,) = (link for link in robot.findall("link") if link.get("name") == root)
     if root != ROOT and link.find("inertial") is None:
