@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -211,11 +211,14 @@ def main() -> None:
     parser.add_argument("--stages", help="names, with commas between; all by default")
     parser.add_argument("--together", type=int, default=1, help="trainings at a time")
     parser.add_argument("--threads", type=int, help="threads of each training; all cores by default")
+    parser.add_argument("--iterations", type=int, help="number for each stage, in place of the plan's")
     parser.add_argument("--seconds", type=float, help="after which trainings end, with a checkpoint")
     arguments = parser.parse_args()
     began = time.monotonic()
     recipe, out = read(arguments.recipe.resolve()), arguments.out.resolve()
     known = {stage.name: stage for stage in recipe.stages}
+    if arguments.iterations is not None:
+        known = {name: replace(stage, iterations=arguments.iterations) for name, stage in known.items()}
     names = list(known) if arguments.stages is None else arguments.stages.split(",")
     if unknown := [name for name in names if name not in known]:
         sys.exit(f"{arguments.recipe} has no stage {', '.join(unknown)}; it has {', '.join(known)}")

@@ -5,14 +5,9 @@ link's inertia takes the place of its shape, as it does where a mesh is missing
 (`src/robot/shapes.rs`), in a copy of the file: other readers of a URDF see only what it says.
 """
 
-import dataclasses
 import math
-import re
 from collections.abc import Collection
-from pathlib import Path
 from xml.etree import ElementTree
-
-from polypod.files import read_bytes, real_path, relative_path
 
 MOVING = ("revolute", "continuous", "prismatic")
 SUBSTANTIAL = 0.1
@@ -23,52 +18,23 @@ THINNEST = 0.1
 """Thinnest side of a box, over its longest."""
 LARGEST = 5.0
 """Longest side of a box, m."""
-MOST_BYTES = 64 << 20
-"""Largest file that is read."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Copy:
-    """Copy of a URDF with boxes at the ends of its limbs."""
-
-    text: str
-    links: list[str]
-    """Links that have a box."""
-
-    @property
-    def notes(self) -> list[str]:
-        """Assumptions of the copy, a line for each link."""
-        problem = "no limb's end has a <collision>; the box of its inertia takes its place"
-        remedy = "write a <collision> with a sphere, box, cylinder or capsule"
-        return [f'link "{link}": {problem}; {remedy}' for link in self.links]
-
-
-def boxed(urdf: Path, folder: Path, held: Collection[str], packages: Collection[str]) -> Copy | None:
-    """Makes the copy of a URDF.
+def add_boxes(robot: ElementTree.Element, held: Collection[str]) -> list[str]:
+    """Gives the ends of a robot's limbs boxes; none where one of them has a `<collision>`.
 
     Args:
-        urdf: the file.
-        folder: where the copy will lie: relative names of meshes lead from there.
+        robot: the tree of a URDF.
         held: names of joints that are locked.
-        packages: ROS packages whose folders are known.
 
     Returns:
-        None for what is no URDF, and where the end of a limb has a `<collision>`.
+        The links that have a box.
+
+    Raises:
+        ValueError: for a number that is none; the reader of URDFs names it.
     """
-    try:
-        return _boxed(urdf, folder, held, packages)
-    except (OSError, ValueError, ElementTree.ParseError):
-        # the reader of URDFs says what is wrong
-        return None
-
-
-def _boxed(urdf: Path, folder: Path, held: Collection[str], packages: Collection[str]) -> Copy | None:
-    text = read_bytes(urdf, MOST_BYTES).decode("utf-8-sig")
-    if re.search(r"<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        return None
-    root = ElementTree.fromstring(text)
-    links = {str(link.get("name")): link for link in root.findall("link")}
-    above = {_link(joint, "child"): joint for joint in root.findall("joint")}
+    links = {str(link.get("name")): link for link in robot.findall("link")}
+    above = {_link(joint, "child"): joint for joint in robot.findall("joint")}
 
     def moves(joint: ElementTree.Element) -> bool:
         return joint.get("type") in MOVING and joint.find("mimic") is None and joint.get("name") not in held
@@ -88,22 +54,20 @@ def _boxed(urdf: Path, folder: Path, held: Collection[str], packages: Collection
         if first in above and first not in carrying:
             ends.setdefault(first, []).append(name)
     if any(links[name].find("collision") is not None for names in ends.values() for name in names):
-        return None
+        return []
     chosen = []
     for names in ends.values():
         least = SUBSTANTIAL * max(max(_mass(links[name]) for name in names), TOKEN / SUBSTANTIAL)
         heavy = [name for name in names if _mass(links[name]) >= least]
         carriers = {other for name in heavy for other in _carriers(name, above)}
         chosen += [name for name in heavy if name not in carriers]
-    made = [name for name in chosen if _add_box(links[name])]
-    if not made:
-        return None
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", _from(folder, urdf, mesh.get("filename", ""), packages))
-    # no comment may hold two dashes
-    what = f"{urdf.name} with a box at the end of each limb: {', '.join(made)}".replace("--", "__")
-    text = ElementTree.tostring(root, encoding="unicode")
-    return Copy(f'<?xml version="1.0"?>\n<!-- {what} -->\n{text}\n', made)
+    return [name for name in chosen if _add_box(links[name])]
+
+
+def note(link: str) -> str:
+    """Says what is assumed of a link that has a box."""
+    problem = "no limb's end has a <collision>; the box of its inertia takes its place"
+    return f'link "{link}": {problem}; write a <collision> with a sphere, box, cylinder or capsule'
 
 
 def _link(joint: ElementTree.Element, end: str) -> str:
@@ -143,19 +107,3 @@ def _add_box(link: ElementTree.Element) -> bool:
     sides = " ".join(repr(max(side, THINNEST * longest)) for side in size)
     ElementTree.SubElement(ElementTree.SubElement(collision, "geometry"), "box", {"size": sides})
     return True
-
-
-def _from(folder: Path, urdf: Path, mesh: str, packages: Collection[str]) -> str:
-    """The name of a mesh for a URDF in another folder."""
-    package = re.match(r"(?:package|model)://([^/]+)/(.+)", mesh)
-    near = real_path(urdf).parent
-    if package is not None and package[1] in packages:
-        return mesh
-    if package is not None:
-        places = [above / package[1] / package[2] for above in (near, *near.parents)]
-        found = next((place for place in places if place.is_file()), None)
-    else:
-        found = near / mesh.removeprefix("file://")
-    if found is None or not found.is_file():
-        return mesh
-    return relative_path(found, folder)

@@ -5,14 +5,17 @@ import functools
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+import tempfile
+from collections.abc import Callable, Collection, Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import TypeAlias
+from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends
+from polypod import _core, bare_ends, base_frames, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -112,7 +115,7 @@ def new_robot(
         progress: told a part of the work, how much of it is done, and all of it.
 
     Raises:
-        RobotError: where the URDF cannot be read or is no legged robot's.
+        RobotError: where the URDF cannot be read, is no legged robot's or has millimetres.
         ConfigError: where the file is there already, cannot be written, or has another name than
             the robot.
     """
@@ -127,13 +130,22 @@ def new_robot(
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
-    # a library's own copy of a URDF stays what the file says
-    boxes = None if urdf_key else bare_ends.boxed(urdf, folder, locked_joints or {}, package_dirs or {})
+    copy = None
+    if (tree := urdf_copies.read(urdf)) is not None:
+        try:
+            base_frames.check_units(urdf, tree)
+            # a library's own copy of a URDF stays what the file says
+            copy = None if urdf_key else _copy(urdf, tree, folder, drafts_of, locked_joints or {}, package_dirs or {})
+        except _core.PolypodError:
+            raise
+        except ValueError:
+            # the reader of URDFs says which number is none
+            copy = None
     drafted: Callable[..., Draft]
-    if boxes is None:
+    if copy is None:
         drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or relative_path(real_path(urdf), folder))
     else:
-        drafted = _drafts_on(boxes, folder / f"{urdf.stem}_with_feet.urdf", drafts_of, out, force)
+        drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
         factor = STIFFER**attempt
@@ -167,7 +179,8 @@ def new_robot(
         factor = 1.0
         draft = drafted(gain_factor=1.0)
         write_text(path, draft["toml"] if refine is None else refine(draft["toml"]))
-    notes = draft["notes"] if boxes is None else [*boxes.notes, *draft["notes"]]
+    notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
+    notes = notes if copy is None else [*copy.notes, *notes]
     return NewRobot(draft["name"], path, notes, standing, factor, draft["kind"], task_of(path) == TASK, needs)
 
 
@@ -177,15 +190,60 @@ def robot_name(given: Path) -> str:
     return name[:60] or "robot"
 
 
+def _copy(
+    urdf: Path,
+    robot: ElementTree.Element,
+    folder: Path,
+    drafts_of: Callable[..., Draft],
+    held: Collection[str],
+    packages: Collection[str],
+) -> urdf_copies.Copy | None:
+    """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
+    links = bare_ends.add_boxes(robot, held)
+    upright = deepcopy(robot)
+    assumed = base_frames.put_upright(upright)
+    moved = base_frames.put_in_the_middle(upright)
+    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages):
+        upright, assumed = robot, None
+        moved = base_frames.put_in_the_middle(upright)
+    ends = f"a box at the end of each limb: {', '.join(links)}"
+    changes = {
+        "upright": ("an upright base", [assumed] if assumed else []),
+        "centred": ("the base frame in the middle", [moved] if moved else []),
+        "with_feet": (ends, [bare_ends.note(link) for link in links]),
+    }
+    made = {ending: change for ending, change in changes.items() if change[1]}
+    if not made:
+        return None
+    what = f"{urdf.name} with {' and '.join(what for what, _ in made.values())}"
+    text = urdf_copies.text_of(upright, what, urdf, folder, packages)
+    notes = [note for _, own in made.values() for note in own]
+    return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
+
+
+def _is_taken(
+    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str]
+) -> bool:
+    """Whether the joints of a robot fit its upright root better than the root of the file."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / "trial.urdf"
+        trial.write_text(urdf_copies.text_of(deepcopy(robot), urdf.name, urdf, Path(folder), packages), "utf-8")
+        try:
+            notes = drafts_of(trial, urdf=trial.name)["notes"]
+        except (_core.RobotError, _core.ConfigError):
+            return False
+    return any(base_frames.is_taken(note) for note in notes)
+
+
 def _drafts_on(
-    boxes: bare_ends.Copy, file: Path, drafts_of: Callable[..., Draft], out: Path | None, force: bool
+    copy: urdf_copies.Copy, file: Path, drafts_of: Callable[..., Draft], out: Path | None, force: bool
 ) -> Callable[..., Draft]:
     """Writes the copy of a URDF, of which drafts are made; leaves none that has no draft."""
     if file.exists() and not force:
         raise _core.ConfigError(f"{file} is there already; pass --force to write over it, or choose another --out")
     drafted = functools.partial(drafts_of, file, urdf=file.name)
     try:
-        write_text(file, boxes.text)
+        write_text(file, copy.text)
         name = drafted()["name"]
         _check_place(file.with_name(f"{name}.toml") if out is None else out, name, force)
     except OSError as error:

@@ -151,21 +151,33 @@ robots = ["@dogs", "drafted_solo12", "spot"]
     assert not [word for word in words if "solo12" in word]
 
 
+def test_iterations_take_the_place_of_the_plans(made, tmp_path):
+    folder, _ = made
+    (plan := tmp_path / "recipe").mkdir()
+    for file in folder.iterdir():
+        (plan / file.name).symlink_to(file)
+    (plan / "plan.toml").unlink()
+    (plan / "plan.toml").write_text(PLAN.replace("iterations = 1\n", "iterations = 5\n"))
+    words = ("--out", str(tmp_path / "out"), "--stages", "teacher", "--iterations", "1")
+    assert "model_1.pt" in lab("lab.recipe", str(plan), *words)
+
+
 def test_folds_leave_each_robot_out_once(tmp_path):
     """No fold begins with a policy that saw its robots."""
     plan = recipe.read(ROOT / "lab" / "recipes" / "wide")
-    student = next(stage for stage in plan.stages if stage.name == "student")
     folds = [stage for stage in plan.stages if stage.name in {"fold_1", "fold_2", "fold_3", "fold_4"}]
     library = {entry["name"] for entry in _core.robots()}
     assert sorted(robot for fold in folds for robot in fold.without) == sorted(library)
-    names = [name for name in student.robots if not name.startswith("@drawn")]
     for fold in folds:
         assert not fold.init
-        seen = plan.robots(names, tmp_path, without=fold.without)
-        assert library.difference(seen) == set(fold.without)
+        seen = plan.robots(fold.robots, tmp_path, without=fold.without)
+        with_more_legs = {*plan.groups["quadrupeds"], "phantomx"}
+        assert library.intersection(seen) == with_more_legs.difference(fold.without)
         assert not [robot for robot in seen if robot.removeprefix("drafted_") in fold.without]
         words = " ".join(recipe.command(plan, fold, tmp_path, None))
         assert not [robot for robot in fold.without if f"={robot}" in words or f".{robot}=" in words]
+        (longer,) = (stage for stage in plan.stages if stage.name == f"{fold.name}_longer")
+        assert (longer.init, longer.without, longer.robots) == (fold.name, fold.without, fold.robots)
 
 
 def test_the_recipe_of_the_bundled_policy_has_all_robots(tmp_path):

@@ -1,0 +1,148 @@
+"""Robots whose URDF has another base frame than x forward and z up, or other units than metres."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import tomllib
+from test_new_robot import quadruped
+
+from common import ROOT
+from polypod import _core, base_frames, urdf_copies
+from polypod.new_robot import new_robot
+
+LIBRARY = sorted((ROOT / "assets" / "robots").glob("*/robot.urdf"))
+FRAMES = {
+    "y forward, z up": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    "x forward, y up": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "z forward, y up": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+}
+"""Where the axes of the base forward, left and up point, in the columns."""
+
+
+def turned(text: str, columns: tuple[tuple[int, ...], ...], aside: float = 0.0) -> str:
+    """A URDF whose root has other axes, and a frame that lies to the left of the middle plane."""
+    turn = np.array(columns, dtype=np.float64)
+    robot = ElementTree.fromstring(text)
+    children = {joint.find("child").get("link") for joint in robot.findall("joint")}
+    (root,) = (link for link in robot.findall("link") if link.get("name") not in children)
+    below = [joint for joint in robot.findall("joint") if joint.find("parent").get("link") == root.get("name")]
+    for part in [*root, *below]:
+        origin = part.find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(part, "origin")
+        own, place = base_frames._pose(origin)
+        origin.set("xyz", " ".join(map(str, turn @ (place - [0.0, aside, 0.0]))))
+        origin.set("rpy", " ".join(map(str, base_frames._angles(turn @ own))))
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def test_angles_are_those_of_the_pose():
+    for angles in ((0.3, -0.5, 2.0), (1.0, np.pi / 2, 0.0), (-2.0, -np.pi / 2, 0.0), (np.pi / 2, 0.0, np.pi / 2)):
+        origin = ElementTree.Element("origin", {"rpy": " ".join(map(str, angles))})
+        turn, _ = base_frames._pose(origin)
+        origin.set("rpy", " ".join(map(str, base_frames._angles(turn))))
+        np.testing.assert_allclose(base_frames._pose(origin)[0], turn, atol=1e-12)
+
+
+@pytest.mark.parametrize("robot", ["fox", "unitree_g1", "booster_t1"])
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_turned_base_frame_is_put_upright(tmp_path, frame, robot):
+    """The draft is that of the file with x forward and z up."""
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    known = tmp_path / "known.urdf"
+    known.write_text(text)
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    other = tmp_path / "other.urdf"
+    other.write_text(turned(text, FRAMES[frame]))
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert config["urdf"] == "other_upright.urdf"
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["feet"] == right["feet"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    forward, up = frame[0], frame[-4]
+    (note,) = (note for note in made.notes if "let its frame have x forward and z up" in note)
+    assert f"so {up} is taken for up and {forward} for forward" in note
+    assert not [note for note in made.notes if base_frames.ROOT in note]
+
+
+@pytest.mark.parametrize("robot", ["fox", "unitree_go2", "unitree_g1"])
+@pytest.mark.parametrize("frame", ["x forward, z up", "x forward, y up"])
+def test_a_base_frame_beside_the_middle_plane_is_moved(tmp_path, frame, robot):
+    """Five centimetres: a waist in that frame is no shoulder."""
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    known = tmp_path / "known.urdf"
+    known.write_text(text)
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    other = tmp_path / "other.urdf"
+    columns = FRAMES.get(frame, ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    other.write_text(turned(text, columns, aside=0.05))
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert config["urdf"] == ("other_upright_centred.urdf" if frame in FRAMES else "other_centred.urdf")
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    assert [note for note in made.notes if "its frame lies 0.050 m to the left of the middle plane" in note]
+
+
+@pytest.mark.parametrize("urdf", LIBRARY, ids=lambda urdf: urdf.parent.name)
+def test_robots_of_the_library_stay_as_they_are(urdf, tmp_path):
+    robot = ElementTree.fromstring(urdf.read_text())
+    base_frames.check_units(urdf, robot)
+    assert base_frames.put_in_the_middle(robot) is None
+    if base_frames.put_upright(robot) is not None:
+        # six legs that point away all around: the reader sees no better fit in the other frame
+        other = tmp_path / "other.urdf"
+        other.write_text(ElementTree.tostring(robot, encoding="unicode"))
+        notes = _core.draft_robot(other, name="other", urdf="other.urdf")["notes"]
+        assert not [note for note in notes if base_frames.is_taken(note)]
+
+
+@pytest.mark.parametrize("key", [None, "assets/fox.urdf"])
+def test_millimetres_are_no_metres(tmp_path, key):
+    robot = ElementTree.fromstring(quadruped())
+    for element in robot.iter():
+        for name in ("xyz", "size", "radius"):
+            if element.tag != "axis" and name in element.attrib:
+                element.set(name, " ".join(str(1000.0 * float(number)) for number in element.get(name).split()))
+    urdf = tmp_path / "fox.urdf"
+    urdf.write_text(ElementTree.tostring(robot, encoding="unicode"))
+    with pytest.raises(_core.RobotError, match=r'fox\.urdf: joint "m01": it lies 260 m from the root link.*metres'):
+        new_robot(urdf, tmp_path / "fox.toml", urdf_key=key)
+    assert [path.name for path in tmp_path.iterdir()] == ["fox.urdf"]
+
+
+def test_a_number_that_is_none_is_named_by_the_reader(tmp_path):
+    urdf = tmp_path / "fox.urdf"
+    urdf.write_text(quadruped().replace('<axis xyz="0 1 0"/>', '<axis xyz="0 one 0"/>', 1))
+    with pytest.raises(_core.RobotError, match=r"0 one 0|axis"):
+        new_robot(urdf, tmp_path / "fox.toml")
+
+
+@pytest.mark.parametrize("number", ["nan", "1e308"])
+def test_a_place_that_is_nowhere_is_named_by_the_reader(tmp_path, number):
+    urdf = tmp_path / "fox.urdf"
+    text = quadruped().replace('<origin xyz="0.24', f'<origin xyz="{number}', 1)
+    assert text != quadruped()
+    urdf.write_text(text)
+    with pytest.raises(_core.RobotError):
+        new_robot(urdf, tmp_path / "fox.toml")
+
+
+def test_a_deep_tree_is_left_to_the_reader(tmp_path):
+    urdf = tmp_path / "deep.urdf"
+    urdf.write_text('<robot name="deep">' + "<a>" * 20_000 + "</a>" * 20_000 + "</robot>")
+    assert urdf_copies.read(urdf) is None
+    with pytest.raises(_core.RobotError):
+        new_robot(urdf, tmp_path / "deep.toml")
+
+
+def test_a_tree_in_a_circle_is_left_to_the_reader():
+    robot = ElementTree.fromstring(
+        '<robot name="ring"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>'
+        '<child link="b"/></joint><joint name="k" type="revolute"><parent link="b"/><child link="a"/></joint></robot>'
+    )
+    assert base_frames.put_upright(robot) is None
+    base_frames.check_units(Path("ring.urdf"), robot)
