@@ -1,9 +1,9 @@
 """Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT`.
 
 A recipe is a folder with a `plan.toml` and train configs. Each stage of the plan is a run of
-`polypod train`, or a mean of the weights of others. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output in
-`OUT/<stage>.log`. A stage whose model is there is not trained again. So a recipe goes on where it
-ended, also on another machine.
+`polypod train`, or a mean of the weights of others. It leaves `OUT/<stage>/model.pt` with its
+`manifest.json`, and its output in `OUT/<stage>.log`. A stage whose model is there is not trained
+again. So a recipe goes on where it ended, also on another machine.
 """
 
 import argparse
