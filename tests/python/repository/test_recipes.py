@@ -76,7 +76,7 @@ def test_stages_leave_models_and_are_not_trained_again(made):
 
 
 def test_a_stage_may_be_a_mean_of_weights(made):
-    """Of a stage whose weights are all 1 more than a bundled policy's, and of that policy."""
+    """Of a bundled policy, and of a stage whose weights are half of that policy's."""
     folder, out = made
     stages = """
 [[stages]]
@@ -92,14 +92,14 @@ mean = { legged = 1.5, other = -0.5 }
     state = torch.load(out / "other" / "model.pt", weights_only=True)
     first = torch.load(bundled.checkpoint("legged"), weights_only=True)["actor_state_dict"]
     assert all(torch.equal(state["actor_state_dict"][key], weights) for key, weights in first.items())
-    shifted = {key: weights + 1 if weights.is_floating_point() else weights for key, weights in first.items()}
-    kept = {**state, "actor_state_dict": shifted}
+    halves = {key: 0.5 * weights if weights.is_floating_point() else weights for key, weights in first.items()}
+    kept = {**state, "actor_state_dict": halves}
     run_dir.save_checkpoint(out / "other" / "model.pt", lambda file: torch.save(kept, file))
     assert lab(*words, "beyond,other") == "beyond: the mean of legged, other\nother: is there\n"
     found = torch.load(out / "beyond" / "model.pt", weights_only=True)["actor_state_dict"]
     for key, weights in first.items():
         if weights.is_floating_point():
-            assert torch.allclose(found[key], weights - 0.5, atol=1e-5), key
+            assert torch.allclose(found[key], 1.25 * weights), key
     (result,) = evaluate_checkpoint(out / "beyond" / "model.pt", ["solo12"], num_envs=1, steps=2, threads=1).robots
     assert result == "solo12"
 
