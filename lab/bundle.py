@@ -22,6 +22,9 @@ from polypod.runs.schema import URMA
 
 KEPT = ("actor_state_dict", "critic_state_dict")
 
+LARGE = 4096
+"""Numbers of a weight that is kept in half precision where that is asked for."""
+
 
 def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, Any]:
     """The manifest of a bundled policy.
@@ -82,6 +85,14 @@ def _sim_with(sim: _core.VecSim, slots: list[str]) -> _core.VecSim:
     return _core.VecSim(sim.task_name, len(sim.robots), robots=sim.robots, threads=1, slots=slots)
 
 
+def halved(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Large weights in half precision, which halves a file; small ones, with norms, stay."""
+    return {
+        key: value.half() if value.is_floating_point() and value.numel() > LARGE else value
+        for key, value in weights.items()
+    }
+
+
 def main() -> None:
     """Writes the folder."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -90,6 +101,7 @@ def main() -> None:
     parser.add_argument("--task", required=True)
     parser.add_argument("--recipe", default="lab/recipes/legged")
     parser.add_argument("--actor", action="store_true", help="leave out the critic, which --init alone reads")
+    parser.add_argument("--half", action="store_true", help="keep large weights in half precision")
     arguments = parser.parse_args()
     state = run_dir.load_checkpoint(arguments.model)
     recipe = shlex.join(["python", "-m", "lab.recipe", arguments.recipe])
@@ -102,6 +114,8 @@ def main() -> None:
     (arguments.folder / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
     networks = KEPT[:1] if arguments.actor else KEPT
     kept = {**{key: state[key] for key in networks if key in state}, "iter": state["iter"], "infos": {}}
+    if arguments.half:
+        kept["actor_state_dict"] = halved(kept["actor_state_dict"])
     run_dir.save_checkpoint(checkpoint, lambda file: torch.save(kept, file))
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
 

@@ -1,12 +1,13 @@
 """Trains the stages of a recipe: `python -m lab.recipe lab/recipes/legged --out OUT`.
 
 A recipe is a folder with a `plan.toml` and train configs. Each stage of the plan is a run of
-`polypod train`. It leaves `OUT/<stage>/model.pt` with its `manifest.json`, and its output in
-`OUT/<stage>.log`. A stage whose model is there is not trained again. So a recipe goes on where it
-ended, also on another machine.
+`polypod train`, or a mean of the weights of others. It leaves `OUT/<stage>/model.pt` with its
+`manifest.json`, and its output in `OUT/<stage>.log`. A stage whose model is there is not trained
+again. So a recipe goes on where it ended, also on another machine.
 """
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -19,7 +20,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from polypod import _core
+import torch
+
+from polypod import _core, bundled
 from polypod.compat import tomllib
 from polypod.runs import run_dir
 
@@ -37,9 +40,9 @@ class Stage:
     """
 
     name: str
-    config: str
-    """A train config: a name, or a file of the recipe."""
-    robots: tuple[str, ...]
+    config: str = ""
+    """A train config: a name, or a file of the recipe; of a mean none."""
+    robots: tuple[str, ...] = ()
     """Names; `@group` stands for a group of the plan, `@drawn.0` for the bodies of the first line
     of `bodies`, and `drafted_NAME` for a robot of the library as `polypod robot new` drafts it."""
     iterations: int | None = None
@@ -57,6 +60,9 @@ class Stage:
     """Processes with a GPU each."""
     without: tuple[str, ...] = ()
     """Robots that are left out, also as drafts."""
+    mean: Mapping[str, float] = field(default_factory=dict)
+    """In place of a training: shares of the weights of stages or bundled policies, which sum up to
+    1. A negative share leads away from a policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,10 +121,9 @@ def read(folder: Path) -> Recipe:
 def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> list[str]:
     """The command line of a stage's training."""
     config = recipe.folder / stage.config
-    made = {other.name for other in recipe.stages}
 
     def model(name: str) -> str:
-        return str(out / name / "model.pt") if name in made else name
+        return model_of(recipe, name, out)
 
     def robots(names: Sequence[str]) -> list[str]:
         return recipe.robots(names, out, without=stage.without)
@@ -145,6 +150,30 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
         for robot in robots(names.split(",")):
             words += ["--set", f"env_shares.{robot}={share}"]
     return words
+
+
+def model_of(recipe: Recipe, name: str, out: Path) -> str:
+    """A stage's model; a bundled policy goes by its name."""
+    return str(out / name / "model.pt") if name in {stage.name for stage in recipe.stages} else name
+
+
+def mix(recipe: Recipe, stage: Stage, out: Path) -> str:
+    """Makes a stage that is a mean of weights, with the manifest of the first; returns a line."""
+    names = {name: model_of(recipe, name, out) for name in stage.mean}
+    files = [bundled.checkpoint(name) if file == name else Path(file) for name, file in names.items()]
+    states = [run_dir.load_checkpoint(file)["actor_state_dict"] for file in files]
+    shares = list(stage.mean.values())
+    weights = dict(states[0])
+    for key, first in states[0].items():
+        if first.is_floating_point():
+            sum_of = sum(share * state[key].double() for share, state in zip(shares, states, strict=True))
+            weights[key] = sum_of.to(first.dtype)
+    (out / stage.name).mkdir(exist_ok=True)
+    manifest = {**run_dir.read_manifest(files[0]), "checkpoints": {}}
+    (out / stage.name / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
+    kept = {"actor_state_dict": weights, "iter": 0, "infos": {}}
+    run_dir.save_checkpoint(out / stage.name / "model.pt", lambda file: torch.save(kept, file))
+    return f"{stage.name}: the mean of {', '.join(names)}"
 
 
 def environment(recipe: Recipe, out: Path) -> dict[str, str]:
@@ -176,6 +205,8 @@ def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, thread
     """Trains a stage, until `ends_at` at most (`time.monotonic`); returns a line about it."""
     if (out / stage.name / "model.pt").is_file():
         return f"{stage.name}: is there"
+    if stage.mean:
+        return mix(recipe, stage, out)
     began = time.monotonic()
     if ends_at is not None and began > ends_at:
         return f"{stage.name}: no time left"

@@ -15,7 +15,7 @@ from polypod import _core, bundled
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions.tracking import terms_of_task
 from polypod.new_robot import new_robot
-from polypod.runs import config
+from polypod.runs import config, run_dir
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """
@@ -75,6 +75,35 @@ def test_stages_leave_models_and_are_not_trained_again(made):
     ]
 
 
+def test_a_stage_may_be_a_mean_of_weights(made):
+    """Of a bundled policy, and of a stage whose weights are half of that policy's."""
+    folder, out = made
+    stages = """
+[[stages]]
+name = "other"
+mean = { legged = 1.0 }
+[[stages]]
+name = "beyond"
+mean = { legged = 1.5, other = -0.5 }
+"""
+    (folder / "plan.toml").write_text(PLAN + stages)
+    words = ("lab.recipe", str(folder), "--out", str(out), "--stages")
+    assert lab(*words, "other") == "other: the mean of legged\n"
+    state = torch.load(out / "other" / "model.pt", weights_only=True)
+    first = torch.load(bundled.checkpoint("legged"), weights_only=True)["actor_state_dict"]
+    assert all(torch.equal(state["actor_state_dict"][key], weights) for key, weights in first.items())
+    halves = {key: 0.5 * weights if weights.is_floating_point() else weights for key, weights in first.items()}
+    kept = {**state, "actor_state_dict": halves}
+    run_dir.save_checkpoint(out / "other" / "model.pt", lambda file: torch.save(kept, file))
+    assert lab(*words, "beyond,other") == "beyond: the mean of legged, other\nother: is there\n"
+    found = torch.load(out / "beyond" / "model.pt", weights_only=True)["actor_state_dict"]
+    for key, weights in first.items():
+        if weights.is_floating_point():
+            assert torch.allclose(found[key], 1.25 * weights), key
+    (result,) = evaluate_checkpoint(out / "beyond" / "model.pt", ["solo12"], num_envs=1, steps=2, threads=1).robots
+    assert result == "solo12"
+
+
 def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     _, out = made
     words = (str(out / "student" / "model.pt"), str(tmp_path / "policy"), "--task", "velocity_flat_any_legged")
@@ -90,6 +119,18 @@ def test_a_model_becomes_a_policy_of_the_library(made, tmp_path):
     assert columns == manifest["robot_info"]["solo12"]["columns"] == list(range(12))
     found = evaluate_checkpoint(model, ["solo12", "unitree_h1"], num_envs=2, steps=3, threads=1)
     assert sorted(found.robots) == ["solo12", "unitree_h1"]
+
+
+def test_a_policy_may_keep_large_weights_in_half_precision(made, tmp_path):
+    model = str(made[1] / "teacher" / "model.pt")
+    lab("lab.bundle", model, str(tmp_path / "policy"), "--task", "velocity_flat_teacher", "--actor", "--half")
+    (kept,) = (tmp_path / "policy").glob("model_*.pt")
+    whole = torch.load(model, weights_only=True)["actor_state_dict"]
+    half = torch.load(kept, weights_only=True)["actor_state_dict"]
+    assert {half[key].dtype for key in whole if whole[key].numel() > 4096} == {torch.float16}
+    assert all(torch.equal(half[key], whole[key]) for key in whole if whole[key].numel() <= 4096)
+    (result,) = evaluate_checkpoint(kept, ["solo12"], num_envs=1, steps=2, threads=1).robots
+    assert result == "solo12"
 
 
 @pytest.mark.parametrize("words", [(), ("--actor",)])
@@ -113,6 +154,11 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     drawn = tuple(f"{words[words.index('--prefix') + 1]}_" for words in plan.bodies)
     known, tasks = set(bundled.NAMES), {}
     for stage in plan.stages:
+        if stage.mean:
+            assert set(stage.mean) <= known, stage.name
+            assert sum(stage.mean.values()) == pytest.approx(1.0), stage.name
+            known.add(stage.name)
+            continue
         file = folder / stage.config
         task = config.load(str(file) if file.is_file() else stage.config).run.task
         names = [name for name in stage.robots if not name.startswith("@drawn.")]
