@@ -76,7 +76,7 @@ def test_stages_leave_models_and_are_not_trained_again(made):
 
 
 def test_a_stage_may_be_a_mean_of_weights(made):
-    """The mean of a bundled policy and of a stage whose weights are half of its own."""
+    """The mean of a bundled policy and of a stage with half that policy's weights."""
     folder, out = made
     stages = """
 [[stages]]
