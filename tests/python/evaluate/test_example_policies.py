@@ -10,7 +10,7 @@ import torch
 from common import ROOT
 from polypod import _core, robustness
 from polypod.compat import tomllib
-from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
+from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking, why_not
 from polypod.policy import load
 from polypod.runs import run_dir
 from polypod.sim2sim import beginning, on_motions, on_rising
@@ -167,3 +167,9 @@ def test_a_policy_of_many_bodies_forgives_a_wrong_description():
         falls[policy] = np.mean([result.fall_rate for result in row.robots.values()])
     assert falls[model("wide")] <= 0.1
     assert falls[bundled] >= 0.4
+
+
+def test_a_policy_of_many_bodies_walks_where_the_bundled_one_falls():
+    """Bolt, and Cassie, which drifted under a student whose ranges lay on one side of the robot."""
+    found = evaluate_checkpoint(model("wide"), ["bolt", "cassie"], num_envs=32, threads=2)
+    assert {robot: why_not(result.walking) for robot, result in found.robots.items()} == {"bolt": [], "cassie": []}

@@ -76,7 +76,7 @@ def test_stages_leave_models_and_are_not_trained_again(made):
 
 
 def test_a_stage_may_be_a_mean_of_weights(made):
-    """Of a bundled policy, and of a stage whose weights are half of that policy's."""
+    """The mean lies beyond a bundled policy, away from a stage whose weights are half of it."""
     folder, out = made
     stages = """
 [[stages]]
