@@ -10,7 +10,7 @@ import torch
 from common import ROOT
 from polypod import _core, robustness
 from polypod.compat import tomllib
-from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking, why_not
+from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
 from polypod.policy import load
 from polypod.runs import run_dir
 from polypod.sim2sim import beginning, on_motions, on_rising
