@@ -1,14 +1,13 @@
 """The policies in examples/policies do what the pages say of them."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
 from common import ROOT
-from polypod import _core, robustness
+from polypod import _core
 from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint, play_task, rising, tracking
 from polypod.policy import load
