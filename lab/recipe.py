@@ -167,7 +167,7 @@ def mix(recipe: Recipe, stage: Stage, out: Path) -> str:
     for key, first in states[0].items():
         if first.is_floating_point():
             sum_of = sum(share * state[key].double() for share, state in zip(shares, states, strict=True))
-            weights[key] = sum_of.to(first.dtype)
+            weights[key] = sum_of.to(torch.promote_types(first.dtype, torch.float32))
     (out / stage.name).mkdir(exist_ok=True)
     manifest = {**run_dir.read_manifest(files[0]), "checkpoints": {}}
     (out / stage.name / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
@@ -176,11 +176,18 @@ def mix(recipe: Recipe, stage: Stage, out: Path) -> str:
     return f"{stage.name}: the mean of {', '.join(names)}"
 
 
+def packages(recipe: Recipe) -> list[str]:
+    """The folder of a recipe, and those of other recipes whose train configs it uses, for their tasks."""
+    configs = {recipe.folder / stage.config for stage in recipe.stages if stage.config.endswith(".toml")}
+    others = {str(file.resolve().parent) for file in configs} - {str(recipe.folder.resolve())}
+    return [str(recipe.folder), *sorted(others)]
+
+
 def environment(recipe: Recipe, out: Path) -> dict[str, str]:
     """The environment of a stage, with drawn bodies, drafted robots and the tasks of the recipe."""
     drawn = [str(bodies_folder(out, number)) for number in range(len(recipe.bodies))]
     drafted = [str(out / "drafts")] if recipe.drafts else []
-    folders = [*drawn, *drafted, str(recipe.folder), os.environ.get("POLYPOD_PATH", "")]
+    folders = [*drawn, *drafted, *packages(recipe), os.environ.get("POLYPOD_PATH", "")]
     return {**os.environ, "POLYPOD_PATH": os.pathsep.join(folder for folder in folders if folder)}
 
 

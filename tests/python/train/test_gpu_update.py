@@ -64,7 +64,7 @@ def test_updates_are_equal(variant, device, tmp_path):
             allowed = 1e-4 * (abs(expected[name]) + (name == "surrogate"))
             assert abs(found[name] - expected[name]) <= allowed, (name, found, expected)
         assert found["learning_rate"] == pytest.approx(native.alg.learning_rate, rel=1e-5)
-        native._take()
+        native._give_to_rsl_rl()
         other._take_networks()
         for network in NETWORKS:
             mine, theirs = (getattr(of.alg, network) for of in (other, native))
@@ -162,7 +162,7 @@ def learn(variant, folder, workers, device):
         made.current_learning_iteration = iteration
         made._collect(made.env.get_observations())
         made._update(made.env.get_observations())
-    made._take()
+    made._give_to_rsl_rl()
     numbers = {f"{name}.{key}": x for name in NETWORKS for key, x in getattr(made.alg, name).state_dict().items()}
     moments = [of["exp_avg"] for of in made.alg.optimizer.state.values()]
     return {**numbers, **{f"gradient {i}": x for i, x in enumerate(moments)}, "rate": made.alg.learning_rate}

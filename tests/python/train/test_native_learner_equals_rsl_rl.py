@@ -189,7 +189,7 @@ def test_updates_are_equal(variant, tmp_path, monkeypatch):
             allowed = TOLERANCE * (abs(expected[name]) + (name == "surrogate"))
             assert abs(found[name] - expected[name]) <= allowed, (name, found, expected)
         assert native.alg.learning_rate == pytest.approx(reference.alg.learning_rate, rel=1e-12)
-        native._take()
+        native._give_to_rsl_rl()
         for network in NETWORKS:
             mine, theirs = (getattr(runner.alg, network) for runner in (native, reference))
             for (name, parameter), other in zip(mine.named_parameters(), theirs.parameters(), strict=True):

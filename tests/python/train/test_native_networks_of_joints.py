@@ -57,7 +57,7 @@ def iterate(runner, iteration):
     samples = runner._learner.rollout(runner.env.unwrapped.sim)
     runner.alg.learning_rate = 1e-3
     runner._update(runner.env.get_observations())
-    runner._take()
+    runner._give_to_rsl_rl()
     return samples
 
 
