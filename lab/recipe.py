@@ -177,7 +177,7 @@ def mix(recipe: Recipe, stage: Stage, out: Path) -> str:
 
 
 def packages(recipe: Recipe) -> list[str]:
-    """The folder of a recipe, and those of other recipes whose train configs it uses, for their tasks."""
+    """The folder of a recipe, and those of recipes whose train configs it uses, for their tasks."""
     configs = {recipe.folder / stage.config for stage in recipe.stages if stage.config.endswith(".toml")}
     others = {str(file.resolve().parent) for file in configs} - {str(recipe.folder.resolve())}
     return [str(recipe.folder), *sorted(others)]
