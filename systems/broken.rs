@@ -39,6 +39,14 @@ pub struct BrokenState {
     pub after: Motion,
 }
 
+impl BrokenState {
+    fn new(record: DivergenceRecord, step: u64, episode_step: u32, limits: StateLimits, body: Body) -> Self {
+        let DivergenceRecord { env, before, targets, delay, memory, wrench, link_forces, after, .. } = record;
+        let env = EnvId(env as u32);
+        Self { env, step, episode_step, limits, before, targets, delay, memory, wrench, link_forces, body, after }
+    }
+}
+
 /// Watches for states that break and keeps the first one of each morphology.
 #[derive(Resource)]
 pub struct BrokenStates {
@@ -72,6 +80,18 @@ impl BrokenStates {
         &self.watched
     }
 
+    /// Counts a control step that a device made alone. `found` are the records of the robots whose
+    /// states it broke, each with the length of its episode before, and the robot's body.
+    pub(super) fn count_step(&mut self, found: Vec<(DivergenceRecord, u32, Body)>, limits: StateLimits) {
+        for (record, episode_step, body) in found {
+            let morphology = record.morphology;
+            self.watched[morphology] = false;
+            self.seen[morphology] = true;
+            self.found.push((morphology, BrokenState::new(record, self.step, episode_step, limits, body)));
+        }
+        self.step += 1;
+    }
+
     pub(super) fn note(&mut self, records: Vec<DivergenceRecord>) {
         for found in &records {
             self.watched[found.morphology] = false;
@@ -91,26 +111,11 @@ pub(super) fn describe_broken_states(
     let broken = &mut *broken;
     if !broken.records.is_empty() {
         let (robots, envs) = (robots.read()?, envs.read()?);
-        let described = broken.records.drain(..).filter_map(
-            |DivergenceRecord { morphology, env, before, targets, delay, memory, wrench, link_forces, after }| {
-                let ((bodies, row), (episodes, _)) = (robots.at(env)?, envs.at(env)?);
-                let state = BrokenState {
-                    env: EnvId(env as u32),
-                    step: broken.step,
-                    episode_step: episodes[row].length,
-                    limits: task.limits,
-                    before,
-                    targets,
-                    delay,
-                    memory,
-                    wrench,
-                    link_forces,
-                    body: bodies[row].clone(),
-                    after,
-                };
-                Some((morphology, state))
-            },
-        );
+        let described = broken.records.drain(..).filter_map(|record| {
+            let ((bodies, row), (episodes, _)) = (robots.at(record.env)?, envs.at(record.env)?);
+            let (morphology, length, body) = (record.morphology, episodes[row].length, bodies[row].clone());
+            Some((morphology, BrokenState::new(record, broken.step, length, task.limits, body)))
+        });
         broken.found.extend(described);
     }
     broken.step += 1;

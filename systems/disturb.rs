@@ -4,13 +4,14 @@ use bevy_app::{App, Plugin};
 use bevy_ecs::prelude::*;
 use serde::Deserialize;
 
-use super::terms::{CompiledTask, Registry};
+use super::terms::{CompiledTask, FormLists, Registry};
 use super::view::EventBody;
 use super::{ControlStep, PipelineSet};
 use crate::blocks::{Block, Blocks};
 use crate::components::{BaseVelocity, Env, EnvRng, EventTimers, ExternalWrench, Robot};
 use crate::config::quantities::{Force, Push as PushSpeed};
 use crate::config::values;
+use crate::engine::device::FormKind;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::workers::Workers;
 
@@ -67,6 +68,10 @@ pub(super) fn register(registry: &mut Registry) {
     registry.interval_event(EXTERNAL_WRENCH, |p: &WrenchRanges, body, rng| {
         *body.wrench = p.draw(body.morphology, rng);
     });
+    // the numbers of these events in `device/env.h`
+    registry
+        .on_device(FormKind::Interval, "push_robot", |p: Push, _| Some((p.velocity_range.to_vec(), Some(Vec::new()))));
+    registry.on_device(FormKind::Interval, EXTERNAL_WRENCH, |p: WrenchRanges, robot| Some(p.lists(robot)));
 }
 
 /// The event that pulls at the base.
@@ -84,6 +89,13 @@ pub(super) struct WrenchRanges {
 }
 
 impl WrenchRanges {
+    /// Ranges of force and torque for a robot, as a device reads them.
+    pub(super) fn lists(&self, morphology: &MorphologyModel) -> FormLists {
+        let own = &morphology.config.randomization;
+        let ranges = [self.force_range.unwrap_or(own.external_force), self.torque_range.unwrap_or(own.external_torque)];
+        (ranges.as_flattened().iter().map(|x| *x as f32).collect(), Some(Vec::new()))
+    }
+
     /// A wrench for a robot.
     pub(super) fn draw(&self, morphology: &MorphologyModel, rng: &mut EnvRng) -> ExternalWrench {
         let own = &morphology.config.randomization;

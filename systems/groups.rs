@@ -2,6 +2,7 @@
 
 use serde::Deserialize;
 
+use super::terms::FormLists;
 use crate::config::quantities::ForceThreshold;
 use crate::config::values;
 use crate::robot::BodyGroup;
@@ -15,4 +16,11 @@ pub(super) struct BodiesInContact {
     pub(super) threshold: f32,
     /// Groups of the bodies whose contacts count.
     pub(super) bodies: Vec<BodyGroup>,
+}
+
+impl BodiesInContact {
+    /// Threshold and groups, as a device reads them.
+    pub(super) fn lists(&self) -> FormLists {
+        (vec![self.threshold], Some(self.bodies.iter().map(|group| *group as i32).collect()))
+    }
 }

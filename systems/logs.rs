@@ -214,6 +214,19 @@ impl Logs {
         self.all.iter_mut().zip(&other.all).for_each(|(log, other)| log.append(other));
     }
 
+    /// Counts an episode on ground without tiles of a robot at a place among the morphologies.
+    pub(super) fn add(
+        &mut self,
+        morphology: usize,
+        episode: &Episode,
+        sums: &EpisodeSums,
+        progress: &CurriculumProgress,
+    ) {
+        for logs in [&mut self.recent, &mut self.all] {
+            logs[morphology].add(episode, sums, progress, None);
+        }
+    }
+
     /// Empty, for a task and its robots.
     pub fn new(task: &CompiledTask) -> Self {
         Self { recent: Self::empty(task), all: Self::empty(task) }

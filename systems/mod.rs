@@ -57,6 +57,7 @@ mod terminate;
 mod terms;
 mod view;
 mod views;
+mod whole;
 
 use bevy_app::{App, Plugin, plugin_group};
 use bevy_ecs::prelude::*;
@@ -101,6 +102,7 @@ pub use terms::{
     TermKind, TermSource, TermSpec, TerminationTerm,
 };
 pub use view::{EventBody, NewBody, NewState, RobotView};
+pub(crate) use whole::{OnDevice, enter_device, lacks_on_device, leave_device, step_on_device};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]

@@ -16,6 +16,7 @@ use crate::components::{Env, EnvId, EnvRng, Episode, Morphology};
 use crate::config::quantities::Height;
 use crate::config::{TaskConfig, values};
 use crate::dynamics::lanes::Kernel;
+use crate::engine::device::FormKind;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel, SlotJoint};
 use crate::options::Autoreset;
@@ -396,6 +397,17 @@ pub(super) fn register(registry: &mut Registry) {
     let spec = TermSpec::new(Scan, "m", "height of the base above the ground below each ray, less the offset")
         .from_source(TermSource::HeightScan);
     registry.observation_of("height_scan", height_scan_size, spec, |p: &ScanOffset| p.offset, height_scan);
+    for name in [
+        "base_lin_vel",
+        "base_ang_vel",
+        "projected_gravity",
+        "velocity_commands",
+        "joint_pos_rel",
+        "joint_vel_rel",
+        "last_action",
+    ] {
+        registry.on_device(FormKind::Observation, name, |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    }
 }
 
 #[derive(Deserialize)]

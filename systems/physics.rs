@@ -31,7 +31,7 @@ impl Plugin for PhysicsPlugin {
 
 /// The engine that steps the robots of a simulation, by the name in its task.
 #[derive(Resource)]
-pub struct PhysicsEngine(Box<dyn Engine>);
+pub struct PhysicsEngine(pub(super) Box<dyn Engine>);
 
 /// Adds an engine, in a plugin's `build`. Tasks name it in `physics.engine`.
 pub fn add_engine(app: &mut App, name: &'static str, factory: impl EngineFactory) {

@@ -21,6 +21,7 @@ use crate::components::{
 };
 use crate::config::quantities::{Angle, Coordinate, Turns};
 use crate::config::{JointPositionMode, values};
+use crate::engine::device::FormKind;
 use crate::morphology::Morphologies;
 use crate::options::Autoreset;
 use crate::robot::soft_limits;
@@ -230,6 +231,23 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reset_event(ACTION_DELAY, |p: &ActionDelay, state, rng| {
         let steps = rng.integer(p.range(state.morphology)) as f32;
         state.delay.0.iter_mut().for_each(|delay| *delay += steps);
+    });
+    on_device(registry);
+}
+
+/// The numbers of these events in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    registry.on_device(FormKind::Reset, "reset_base", |p: BaseRange, _| {
+        let ranges = [p.x, p.y, p.yaw, p.roll.unwrap_or_default(), p.pitch.unwrap_or_default()];
+        Some((ranges.as_flattened().to_vec(), Some(vec![i32::from(p.roll.is_some() || p.pitch.is_some())])))
+    });
+    registry.on_device(FormKind::Reset, "reset_joints", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    registry.on_device(FormKind::Reset, "reset_joints_within_limits_range", |p: WithinLimits, _| {
+        Some((p.position_range.to_vec(), Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Reset, EXTERNAL_WRENCH, |p: WrenchRanges, robot| Some(p.lists(robot)));
+    registry.on_device(FormKind::Reset, ACTION_DELAY, |p: ActionDelay, robot| {
+        Some((Vec::new(), Some(p.range(robot).map(|steps| steps as i32).to_vec())))
     });
 }
 

@@ -15,6 +15,7 @@ use crate::components::{Env, Episode};
 use crate::config::quantities::{Coordinate, Factor, ForceThreshold, Quantity, Tilt as TiltRange};
 use crate::config::values;
 use crate::engine::StateLimits;
+use crate::engine::device::FormKind;
 use crate::options::Autoreset;
 use crate::robot::BodyGroup;
 use crate::workers::Workers;
@@ -158,6 +159,23 @@ pub(super) fn register(registry: &mut Registry) {
     registry.termination("illegal_contact", false, illegal_contact);
     registry.termination("bad_orientation", false, bad_orientation);
     registry.termination("root_height_below_minimum", false, root_height_below_minimum);
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    registry.on_device(FormKind::End, "time_out", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    registry.on_device(FormKind::End, "base_contact", |p: ContactThreshold, _| {
+        Some((vec![p.threshold], Some(vec![BodyGroup::Base as i32, BodyGroup::Torso as i32])))
+    });
+    registry.on_device(FormKind::End, "illegal_contact", |p: BodiesInContact, _| Some(p.lists()));
+    registry
+        .on_device(FormKind::End, "bad_orientation", |p: Tilt, _| Some((vec![p.limit_angle.cos], Some(Vec::new()))));
+    registry.on_device(FormKind::End, "root_height_below_minimum", |p: LeastHeight, robot| {
+        let has_height = f32::from(u8::from(p.minimum_height.is_some()));
+        let numbers = vec![has_height, p.minimum_height.unwrap_or_default(), p.minimum_share, robot.hip_height];
+        Some((numbers, Some(Vec::new())))
+    });
 }
 
 /// A body of the groups touches with more than the threshold, N.

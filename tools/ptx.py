@@ -23,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DEVICE = ROOT / "crates" / "cuda" / "device"
 FLAGS = ("--fmad=false", "--ftz=false", "--prec-div=true", "--prec-sqrt=true")
 """Flags of NVRTC that keep each operation as it is written; the defaults contract."""
+ENV_FLAGS = ("-DLANES=1", "-DTILE=8")
+"""Flags of the program of envs, where four threads step a robot."""
 ROUNDED = frozenset({"add", "sub", "mul", "div", "fma", "sqrt", "rcp"})
 """Operations that must say that they round to nearest."""
 INEXACT = frozenset({"mad", "rsqrt", "sin", "cos", "tanh", "ex2", "lg2"})
@@ -59,8 +61,9 @@ def compile_text(
     arch: str = "compute_80",
     flags: tuple[str, ...] = FLAGS,
     source: str | None = None,
+    program: str = "step.cu",
 ) -> str:
-    """PTX of the text of the device, or of another `source`, in the oldest version that will do.
+    """PTX of a program of the device, or of another `source`, in the oldest version that will do.
 
     Raises :class:`NvrtcError` with NVRTC's log if the text does not compile.
     """
@@ -68,20 +71,20 @@ def compile_text(
         nvrtc = ctypes.CDLL(str(library))
     except OSError as error:
         raise NvrtcError(f"{library}: {error}; install torch for CUDA again") from error
-    text = (DEVICE / "step.cu").read_text(encoding="utf-8") if source is None else source
-    program = ctypes.c_void_p()
-    created = nvrtc.nvrtcCreateProgram(ctypes.byref(program), text.encode(), b"step.cu", 0, None, None)
+    text = (DEVICE / program).read_text(encoding="utf-8") if source is None else source
+    handle = ctypes.c_void_p()
+    created = nvrtc.nvrtcCreateProgram(ctypes.byref(handle), text.encode(), program.encode(), 0, None, None)
     if created != 0:
         raise NvrtcError(f"{library}: error {created} of nvrtcCreateProgram")
     try:
         options = [f"--gpu-architecture={arch}", f"--include-path={DEVICE}", *flags]
         array = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
-        if nvrtc.nvrtcCompileProgram(program, len(options), array) != 0:
-            log = _read(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, program)
+        if nvrtc.nvrtcCompileProgram(handle, len(options), array) != 0:
+            log = _read(nvrtc.nvrtcGetProgramLogSize, nvrtc.nvrtcGetProgramLog, handle)
             raise NvrtcError(f"crates/cuda/device: NVRTC refuses the text for {arch}:\n{log}")
-        ptx = _read(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, program)
+        ptx = _read(nvrtc.nvrtcGetPTXSize, nvrtc.nvrtcGetPTX, handle)
     finally:
-        nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
+        nvrtc.nvrtcDestroyProgram(ctypes.byref(handle))
     if arch not in OLDEST:
         return ptx
     return re.sub(r"^\.version \S+", f".version {OLDEST[arch]}", HINT.sub("", ptx), flags=re.MULTILINE)
@@ -143,11 +146,13 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "target" / "polypod_cuda.ptx")
     options = parser.parse_args()
     try:
-        ptx = compile_text(find_nvrtc(), options.arch)
+        library = find_nvrtc()
+        ptx = compile_text(library, options.arch)
+        of_envs = compile_text(library, options.arch, (*FLAGS, *ENV_FLAGS), program="env.cu")
     except NvrtcError as error:
         print(error, file=sys.stderr)
         return 2
-    problems = inexact(ptx)
+    problems = inexact(ptx) + inexact(of_envs)
     for problem in problems:
         print(f"crates/cuda/device: {problem}", file=sys.stderr)
     if problems:

@@ -36,12 +36,12 @@ fn constants(header: &str) -> Option<String> {
                 Some((name, expression)) => (name.trim(), value(expression, &known)?),
                 None => (enumerator, next),
             };
-            writeln!(out, "pub(crate) const {name}: usize = {number};").ok()?;
+            writeln!(out, "pub const {name}: usize = {number};").ok()?;
             write!(all, "(\"{name}\", {number}), ").ok()?;
             known.insert(name.to_owned(), number);
             next = number + 1;
         }
-        writeln!(out, "pub(crate) const {}_PLACES: &[(&str, usize)] = &[{all}];", name.trim().to_uppercase()).ok()?;
+        writeln!(out, "pub const {}_PLACES: &[(&str, usize)] = &[{all}];", name.trim().to_uppercase()).ok()?;
     }
     Some(out)
 }

@@ -1031,6 +1031,25 @@ class VecSim:
         Raises ConfigError for any other bytes.
         """
 
+    def stay_on_device(self, stay: bool) -> None:
+        """Whether the state of all envs may stay on the card between control steps.
+
+        With the engine `cuda` and a task of which all parts have a form there, the card then makes
+        the whole control step, with the same bits. It does so from the third step in a row on
+        between which nobody reads or changes states; a look at them brings them back. By default it
+        may. An env that reads states in each step is as fast without.
+        """
+
+    @property
+    def steps_on_device(self) -> int:
+        """Number of control steps that the card has made alone, see `stay_on_device`."""
+
+    def lacks_on_device(self) -> str | None:
+        """Why the card does not make whole control steps: one thing that has no form there.
+
+        None if nothing is in the way, see `stay_on_device`.
+        """
+
     def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
         """Sets the directory of dumps: one file for the first broken state of each robot.
 

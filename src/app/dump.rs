@@ -254,7 +254,7 @@ impl Sim {
     /// Writes the broken states of the last control step. A dump that fails is reported and stops
     /// nothing.
     pub(crate) fn dump_broken_states(&mut self) {
-        let Some(mut broken) = self.world_mut().get_resource_mut::<BrokenStates>() else {
+        let Some(mut broken) = self.world.get_resource_mut::<BrokenStates>() else {
             return;
         };
         let found = broken.take();

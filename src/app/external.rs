@@ -30,7 +30,7 @@ impl Sim {
             let problem = format!("{} for env {}", values[at], at / self.num_external().max(1));
             return Err(Error::argument("values", problem, "pass finite numbers"));
         }
-        observe_external(&mut self.world, values, mask)?;
+        observe_external(self.world_mut(), values, mask)?;
         self.lacks_external = false;
         Ok(())
     }
@@ -48,7 +48,7 @@ impl Sim {
                 format!("pass a number from {} to {}", Weight::LEAST, Weight::MOST),
             ));
         }
-        let mut task = self.world.resource_mut::<CompiledTask>();
+        let mut task = self.world_mut().resource_mut::<CompiledTask>();
         let mut terms = task.rewards.get_mut(index).into_iter().flatten();
         if let Some(term) = terms.find(|term| term.name == name) {
             term.weight = weight as f32;
@@ -72,7 +72,7 @@ impl Sim {
                 return Err(Error::argument("ranges", problem, remedy));
             }
         }
-        let mut task = self.world.resource_mut::<CompiledTask>();
+        let mut task = self.world_mut().resource_mut::<CompiledTask>();
         if let Some(config) = task.commands.get_mut(index) {
             [config.lin_vel_x, config.lin_vel_y, config.ang_vel_z] = ranges;
         }
@@ -92,7 +92,8 @@ impl Sim {
             let problem = format!("not {} numbers below {}", self.num_envs(), layout.num_rows);
             return Err(Error::argument("levels", problem, "pass one level per env"));
         }
-        for (env, mut origin) in self.world.query::<(&EnvId, &mut EnvOrigin)>().iter_mut(&mut self.world) {
+        let world = self.world_mut();
+        for (env, mut origin) in world.query::<(&EnvId, &mut EnvOrigin)>().iter_mut(world) {
             if let Ok(level) = u32::try_from(levels[env.0 as usize]) {
                 origin.terrain_level = level;
                 origin.position = layout.origin(level, origin.terrain_column);

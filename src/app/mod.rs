@@ -6,6 +6,7 @@ mod external;
 mod host;
 mod learning;
 mod links;
+mod residence;
 mod sim_queries;
 pub mod snapshot;
 mod stepping;
@@ -28,7 +29,8 @@ use crate::options::SimOptions;
 use crate::systems::{BrokenStates, CompiledTask, InstructionSet, Loaded, PolypodPlugins, Registry, Share, note};
 use crate::workers::Workers;
 
-use stepping::{check_actions, set_up, take_step};
+use residence::Residence;
+use stepping::{check_actions, set_up};
 
 pub use changes::{ForceRows, ParameterRows, StateRows};
 pub use host::{HostPlugin, HostedStep};
@@ -44,6 +46,7 @@ pub struct Sim {
     dump_dir: Option<PathBuf>,
     /// Whether the terms that the caller computes are still those of the step before.
     lacks_external: bool,
+    residence: Residence,
 }
 
 impl Sim {
@@ -88,7 +91,8 @@ impl Sim {
         let mut world = std::mem::take(app.world_mut());
         world.insert_resource(FallbackErrorHandler(note));
         set_up(&mut world, options.seed)?;
-        let mut sim = Self { world, seed: options.seed, dump_dir: None, lacks_external: false };
+        let mut sim =
+            Self { world, seed: options.seed, dump_dir: None, lacks_external: false, residence: Residence::default() };
         sim.lacks_external = !sim.task().external_terms().is_empty();
         sim.set_dump_dir(options.dump_dir)?;
         Ok(sim)
@@ -111,7 +115,7 @@ impl Sim {
         }
         check_actions(&self.world, actions)?;
         self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
-        take_step(&mut self.world)?;
+        self.step_where_the_state_is()?;
         self.lacks_external = !self.task().external_terms().is_empty();
         self.dump_broken_states();
         Ok(())
@@ -134,7 +138,7 @@ impl Sim {
     /// # Errors
     /// A mask of the wrong length, or a seed together with a mask.
     pub fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> Result<(), Error> {
-        stepping::reset(&mut self.world, seed, mask)?;
+        stepping::reset(self.world_mut(), seed, mask)?;
         self.seed = seed.unwrap_or(self.seed);
         self.lacks_external = !self.task().external_terms().is_empty();
         Ok(())
@@ -216,6 +220,7 @@ impl Sim {
     /// `#[component(storage = "SparseSet")]`; the next step is refused otherwise, see
     /// [`blocks`](crate::blocks).
     pub fn world_mut(&mut self) -> &mut World {
+        self.return_to_host();
         &mut self.world
     }
 
@@ -271,7 +276,7 @@ impl Sim {
         if dump_dir.as_ref().is_some_and(|dir| dir.as_os_str().as_encoded_bytes().contains(&0)) {
             return Err(Error::argument("dump_dir", "the path has a zero byte", "name a folder"));
         }
-        if let Some(mut broken) = self.world.get_resource_mut::<BrokenStates>() {
+        if let Some(mut broken) = self.world_mut().get_resource_mut::<BrokenStates>() {
             broken.watch(dump_dir.is_some());
         }
         self.dump_dir = dump_dir;

@@ -81,6 +81,7 @@ impl Sim {
     fn snapshot_rows(&mut self, envs: Option<&[usize]>) -> Result<Vec<u8>, Error> {
         let unwritable = |error: postcard::Error| Error::Snapshot(error.to_string());
         let first_env = self.share().envs.start;
+        self.return_to_host();
         let mut engine = save_engine(&self.world)?;
         let batch = match envs {
             None => self.batch().clone(),
@@ -125,6 +126,7 @@ impl Sim {
 
     fn restore_rows(&mut self, bytes: &[u8], envs: Option<&[usize]>) -> Result<(), Error> {
         let snapshot: Snapshot = sealed::open_as(bytes, &self.header()).map_err(Error::Snapshot)?;
+        self.return_to_host();
         // check everything before anything is written
         let sizes = "its lists are of other lengths than this simulation's; pass what snapshot() gave";
         let is_whole = snapshot.envs.is_none() && envs.is_none();
@@ -170,6 +172,7 @@ impl Sim {
                 self.world.insert_resource(logs);
             }
             self.seed = snapshot.seed;
+            self.forget_lost_state();
         }
         self.lacks_external = false;
         load_engine(&mut self.world, &engine)?;

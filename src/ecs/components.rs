@@ -68,6 +68,23 @@ impl EnvRng {
         Self(Pcg32::new(spread(state ^ stream), stream))
     }
 
+    /// State and increment of the generator.
+    pub(crate) fn parts(&self) -> (u64, u64) {
+        // two numbers of up to ten bytes
+        let mut bytes = [0; 32];
+        let written = postcard::to_slice(&self.0, &mut bytes);
+        written.ok().and_then(|bytes| postcard::from_bytes(bytes).ok()).unwrap_or_default()
+    }
+
+    /// Sets state and increment, as [`parts`](Self::parts) has them.
+    pub(crate) fn set_parts(&mut self, parts: (u64, u64)) {
+        let mut bytes = [0; 32];
+        let written = postcard::to_slice(&parts, &mut bytes);
+        if let Some(generator) = written.ok().and_then(|bytes| postcard::from_bytes(bytes).ok()) {
+            self.0 = generator;
+        }
+    }
+
     /// Uniform in `[0, 1)`.
     #[inline]
     pub fn unit(&mut self) -> f32 {

@@ -3,6 +3,7 @@
 pub(crate) mod articulated;
 pub(crate) mod avian;
 mod cuda;
+pub(crate) mod device;
 mod divergence;
 mod limits;
 mod registry;
@@ -24,7 +25,7 @@ use crate::workers::Workers;
 use articulated::Packs;
 use avian::{AvianRobots, EngineError};
 
-pub use cuda::{OnDevice, describe_card, search_packages};
+pub use cuda::{OnDevice, WholeSteps, describe_card, search_packages};
 pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
@@ -78,6 +79,11 @@ pub trait Engine: Send + Sync {
     /// As [`check`](Self::check).
     fn load(&mut self, envs: &[Vec<u8>]) -> Result<(), String> {
         self.check(envs)
+    }
+
+    /// The engine's device, where that makes whole control steps. Default: there is none.
+    fn whole_steps(&mut self) -> Option<&mut dyn WholeSteps> {
+        None
     }
 }
 

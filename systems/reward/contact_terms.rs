@@ -10,6 +10,7 @@ use super::{norm, stands};
 use crate::config::quantities::{ForceThreshold, Gain, Height, SpeedThreshold, Time, Width};
 use crate::config::values;
 use crate::dynamics::elementary::{exp, tanh_positive};
+use crate::engine::device::FormKind;
 use crate::systems::groups::BodiesInContact;
 use crate::systems::terms::Registry;
 use crate::systems::view::RobotView;
@@ -89,6 +90,18 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("foot_clearance", foot_clearance);
     registry.reward("foot_slip", foot_slip);
     registry.reward("gait", gait);
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    registry.reward_on_device("feet_air_time", |p: AirTimeThreshold| vec![p.threshold, f32::from(u8::from(p.turning))]);
+    registry.on_device(FormKind::Reward, "undesired_contacts", |p: BodiesInContact, _| Some(p.lists()));
+    registry.reward_on_device("air_time", |p: ModeTime| vec![p.mode_time, p.velocity_threshold]);
+    registry.reward_on_device("air_time_variance", |p: MaxTime| vec![p.max_time]);
+    registry.reward_on_device("foot_clearance", |p: Clearance| vec![p.std, p.tanh_mult, p.target_height]);
+    registry.reward_on_device("foot_slip", |p: Force| vec![p.threshold]);
+    registry.reward_on_device("gait", |p: Gait| vec![p.std, p.max_err, p.velocity_threshold]);
 }
 
 /// Flight time less the threshold, s, summed over the feet that land in this control step; 0 for

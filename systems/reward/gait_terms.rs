@@ -44,6 +44,13 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("feet_slide", feet_slide);
     registry.reward("desired_contacts", desired_contacts);
     registry.reward("gait_symmetry", gait_symmetry);
+    // the numbers of these terms in `device/env.h`
+    registry.reward_on_device("feet_air_time_positive_biped", |p: StrideTime| {
+        vec![p.threshold, f32::from(u8::from(p.turning))]
+    });
+    registry.reward_on_device("feet_slide", |p: Force| vec![p.threshold]);
+    registry.reward_on_device("desired_contacts", |p: Force| vec![p.threshold]);
+    registry.reward_on_device("gait_symmetry", |_: NoParams| Vec::new());
 }
 
 /// While one foot stands alone: the least of its contact time and the others' air times.

@@ -8,9 +8,10 @@ use serde::Deserialize;
 use super::{norm, sum_of_squares};
 use crate::config::quantities::SpeedThreshold;
 use crate::config::{matches, values};
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::robot::{Place, Role, Slot};
-use crate::systems::terms::{NoParams, Registry};
+use crate::systems::terms::{FormLists, NoParams, Registry};
 use crate::systems::view::RobotView;
 
 /// Joints of a term. The default: the sum over all of them.
@@ -86,6 +87,12 @@ impl OnJoints {
         self.factor * sum
     }
 
+    /// Factor, another number and joints, as a device reads them.
+    fn lists(self, number: Option<f32>) -> FormLists {
+        let joints = self.joints.map(|joints| joints.into_iter().map(|joint| joint as i32).collect());
+        (std::iter::once(self.factor).chain(number).collect(), joints)
+    }
+
     /// Sum or mean of the squares.
     #[inline(always)]
     fn squares(&self, x: &[f32]) -> f32 {
@@ -129,6 +136,22 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward_for("action_rate_l2", share, |factor, r| factor * action_change(r));
     // Euclidean norm of the change of the action since the last control step.
     registry.reward("action_smoothness", |_: &NoParams, r| action_change(r).sqrt());
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    for name in ["dof_torques_l2", "dof_acc_l2", "joint_vel_l2", "joint_deviation_l1", "joint_pos_limits"] {
+        registry.on_device(FormKind::Reward, name, |p, robot| Some(joints(p, robot).ok()?.lists(None)));
+    }
+    registry.on_device(FormKind::Reward, "stand_still_joint_deviation_l1", |p, robot| {
+        let (threshold, on) = stand_still(p, robot).ok()?;
+        Some(on.lists(Some(threshold)))
+    });
+    registry.on_device(FormKind::Reward, "action_rate_l2", |p, robot| {
+        Some((vec![share(p, robot).ok()?], Some(Vec::new())))
+    });
+    registry.reward_on_device("action_smoothness", |_: NoParams| Vec::new());
 }
 
 fn joints(p: Joints, robot: &MorphologyModel) -> Result<OnJoints, (String, String, String)> {

@@ -9,6 +9,7 @@ use super::{norm, sum_of_squares};
 use crate::config::quantities::{Factor, Gain, Height as HeightRange, SpeedThreshold, Width};
 use crate::config::values;
 use crate::dynamics::elementary::exp;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry};
 use crate::systems::view::RobotView;
@@ -81,6 +82,33 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward("is_terminated", |_: &NoParams, r| f32::from(u8::from(r.terminated)));
     // Euclidean norm of the joint velocities, rad/s.
     registry.reward("joint_vel", |_: &NoParams, r| norm(&r.joints.velocity));
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    for name in ["track_lin_vel_xy_exp", "track_ang_vel_z_exp", "base_angular_velocity"] {
+        registry.reward_on_device(name, |p: Std| vec![p.std]);
+    }
+    registry.reward_on_device("base_linear_velocity", |p: RampedStd| vec![p.std, p.ramp_at_vel, p.ramp_rate]);
+    registry.reward_on_device("joint_pos", |p: StandStill| vec![p.stand_still_scale, p.velocity_threshold]);
+    registry.on_device(FormKind::Reward, "base_height_l2", |p, robot| {
+        Some((vec![base_height(p, robot).ok()?], Some(Vec::new())))
+    });
+    for name in [
+        "lin_vel_z_l2",
+        "ang_vel_xy_l2",
+        "flat_orientation_l2",
+        "base_motion",
+        "base_orientation",
+        "joint_acc",
+        "joint_torques",
+        "is_alive",
+        "is_terminated",
+        "joint_vel",
+    ] {
+        registry.reward_on_device(name, |_: NoParams| Vec::new());
+    }
 }
 
 /// Planar velocity error: commanded less measured, m/s.

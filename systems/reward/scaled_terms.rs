@@ -20,6 +20,9 @@ pub(super) fn register(registry: &mut Registry) {
         let unit = if gravity > 0.0 { r.default_height() / gravity } else { 0.0 };
         mean_square(&r.effort.acceleration) * (unit * unit)
     });
+    for name in ["scaled_torques_l2", "scaled_acc_l2"] {
+        registry.reward_on_device(name, |_: NoParams| Vec::new());
+    }
 }
 
 #[inline(always)]

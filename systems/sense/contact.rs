@@ -46,6 +46,15 @@ impl ContactSensor {
     /// The forces of a control step; `feet` are the contact bodies that are feet.
     #[inline(always)]
     fn read(&mut self, forces: &ContactForces, feet: &[usize], dt: f32) {
+        self.read_peaks(forces, feet);
+        let Self { contact_time, air_time, last_contact_time, last_air_time, .. } = self;
+        let times = [&mut contact_time[..], &mut air_time[..], &mut last_contact_time[..], &mut last_air_time[..]];
+        count_times(times, &forces.feet_normal, dt);
+    }
+
+    /// The largest forces of a control step.
+    #[inline(always)]
+    pub(in crate::systems) fn read_peaks(&mut self, forces: &ContactForces, feet: &[usize]) {
         let larger = |x: f32, other: f32| if other > x { other } else { x };
         let steps = forces.feet_normal.chunks_exact(feet.len().max(1));
         self.peak_force.fill(0.0);
@@ -57,9 +66,6 @@ impl ContactSensor {
         for force in &forces.others {
             self.peak_force[force.body as usize] = force.normal.into_iter().fold(0.0, larger);
         }
-        let Self { contact_time, air_time, last_contact_time, last_air_time, .. } = self;
-        let times = [&mut contact_time[..], &mut air_time[..], &mut last_contact_time[..], &mut last_air_time[..]];
-        count_times(times, &forces.feet_normal, dt);
     }
 }
 

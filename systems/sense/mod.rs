@@ -199,6 +199,13 @@ fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
     Ok(())
 }
 
+/// Measures again what follows from the robots' states alone: the feet's heights and the IMUs, as a
+/// control step leaves them.
+pub(super) fn measure_states(world: &mut World) -> Result<(), Error> {
+    faults::outcome::<(), ()>(world.run_system_cached(feet::measure_feet))?;
+    measure_anew::<Imu>(world)
+}
+
 /// Begins the episodes of the robots that have just been reset.
 fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
     Ok(sensing.run(Occasion::Begin)?)

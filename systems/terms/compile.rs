@@ -237,7 +237,7 @@ impl From<SpeedLimits> for StateLimits {
 }
 
 /// Name under which the guard against broken states appears among the terminations.
-const ILLEGAL_STATE: &str = "illegal_state";
+pub(super) const ILLEGAL_STATE: &str = "illegal_state";
 
 impl CompiledTask {
     /// Makes every term that the robots of the run use.

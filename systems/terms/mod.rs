@@ -7,6 +7,7 @@
 
 mod builtin;
 mod compile;
+mod device;
 mod episode_end;
 mod registry;
 mod schedules;
@@ -16,6 +17,7 @@ pub(crate) use compile::{ACTION_DELAY, PHYSICS_MATERIAL};
 pub(super) use compile::{ActionDelay, BODY_VARIATION, PhysicsMaterial};
 pub use compile::{CompiledTask, ObservationGroup, ObservationTerm, RewardTerm, TerminationTerm};
 pub use episode_end::EpisodeEnd;
+pub(super) use registry::FormLists;
 pub(crate) use registry::NoParams;
 pub use registry::Registry;
 pub(super) use schedules::VelocityRanges;

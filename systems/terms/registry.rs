@@ -14,6 +14,7 @@ use super::spec::TermSpec;
 use crate::components::{EnvRng, Episode};
 use crate::config::{ConfigError, TaskConfig, parse_params};
 use crate::dynamics::lanes::{Kernel, SimdDispatch};
+use crate::engine::device::{Form, FormKind};
 use crate::morphology::{BatchSlots, MorphologyModel};
 
 /// The parameters of a term that has none.
@@ -39,6 +40,11 @@ pub(super) type CommandBuilder =
 pub(super) type SizeFn = Box<dyn Fn(&TaskConfig, &BatchSlots) -> Result<usize, (String, String)> + Send + Sync>;
 pub(super) type IntervalFn = Box<dyn Fn(&mut EventBody, &mut EnvRng) + Send + Sync>;
 
+/// Makes the form of a term on a device from the parameters of a task, for a robot.
+type FormBuilder = Box<dyn Fn(&Table, &MorphologyModel) -> Option<Form> + Send + Sync>;
+/// Numbers and integers of a form, see [`Form::new`].
+pub(in crate::systems) type FormLists = (Vec<f32>, Option<Vec<i32>>);
+
 /// All terms that tasks may name. Plugins add their own to it in `build`: it is a resource of the
 /// app.
 #[derive(Resource, Default)]
@@ -54,6 +60,8 @@ pub struct Registry {
     /// Commands that reward and observation terms follow, unless their `command_name` names
     /// another.
     pub(super) needs: BTreeMap<&'static str, Vec<&'static str>>,
+    /// Forms on a device.
+    forms: BTreeMap<(FormKind, &'static str), FormBuilder>,
 }
 
 /// A kind of command, and how it is made; the velocity has a place of its own in a task.
@@ -82,6 +90,52 @@ pub(super) struct BuiltObservation {
 type Events<T> = BTreeMap<&'static str, (usize, Builder<T>)>;
 
 impl Registry {
+    /// The form that a built-in term has in `device/env.h` of `polypod-cuda`. `lists` makes its
+    /// numbers and integers of the task's parameters. Registering another term of that name takes
+    /// it away.
+    pub(in crate::systems) fn on_device<P: DeserializeOwned + 'static>(
+        &mut self,
+        kind: FormKind,
+        name: &'static str,
+        lists: fn(P, &MorphologyModel) -> Option<FormLists>,
+    ) {
+        let build: FormBuilder = Box::new(move |table, robot| {
+            let (numbers, integers) = lists(parse_params("", "", table).ok()?, robot)?;
+            Form::new(kind, name, numbers, integers)
+        });
+        self.forms.insert((kind, name), build);
+    }
+
+    /// Terms that have a form on the device.
+    #[cfg(test)]
+    pub(super) fn with_forms(&self) -> impl Iterator<Item = (FormKind, &'static str)> {
+        self.forms.keys().copied()
+    }
+
+    /// The same for a reward term that depends on numbers alone.
+    pub(in crate::systems) fn reward_on_device<P: DeserializeOwned + 'static>(
+        &mut self,
+        name: &'static str,
+        numbers: fn(P) -> Vec<f32>,
+    ) {
+        let build: FormBuilder = Box::new(move |table, _| {
+            Form::new(FormKind::Reward, name, numbers(parse_params("", "", table).ok()?), Some(Vec::new()))
+        });
+        self.forms.insert((FormKind::Reward, name), build);
+    }
+
+    /// The form of a term with the parameters of a task, if it has one.
+    pub(in crate::systems) fn form(
+        &self,
+        kind: FormKind,
+        name: &str,
+        params: &Table,
+        robot: &MorphologyModel,
+    ) -> Option<Form> {
+        let (_, build) = self.forms.iter().find(|((of, known), _)| (*of, *known) == (kind, name))?;
+        build(params, robot)
+    }
+
     /// A reward term: its unweighted value per second. An `#[inline(always)]` function is compiled
     /// for each instruction set.
     pub fn reward<P>(&mut self, name: &'static str, f: impl Fn(&P, &RobotView) -> f32 + Copy + Send + Sync + 'static)
@@ -109,6 +163,7 @@ impl Registry {
             })?;
             Ok(Box::new(move |view: &RobotView, simd: SimdDispatch| simd.vectorize(Reward { f: &f, p: &p, view })))
         });
+        self.forms.remove(&(FormKind::Reward, name));
         self.rewards.insert(name, build);
     }
 
@@ -178,6 +233,7 @@ impl Registry {
             Ok(BuiltObservation { offset: 0.0, write })
         });
         let size: SizeFn = Box::new(move |task, _| size(task));
+        self.forms.remove(&(FormKind::Observation, name));
         self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 
@@ -197,6 +253,7 @@ impl Registry {
             let write: ObservationFn = Some(Box::new(move |view: &RobotView, out: &mut [f32]| f(&p, view, out)));
             Ok(BuiltObservation { offset, write })
         });
+        self.forms.remove(&(FormKind::Observation, name));
         let registered = RegisteredObservation { spec, size: Box::new(size), build, is_on: |_, _| true };
         self.observations.insert(name, registered);
     }
@@ -215,6 +272,7 @@ impl Registry {
             Ok(BuiltObservation { offset: 0.0, write: None })
         });
         let size: SizeFn = Box::new(move |_, _| Ok(size));
+        self.forms.remove(&(FormKind::Observation, name));
         self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 
@@ -233,6 +291,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |view: &RobotView, episode: &Episode, most: u32| f(&p, view, episode, most)))
         });
+        self.forms.remove(&(FormKind::End, name));
         self.terminations.insert(name, (time_out, build));
     }
 
@@ -258,6 +317,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |state: &mut NewState, rng: &mut EnvRng| f(&p, state, rng)))
         });
+        self.forms.remove(&(FormKind::Reset, name));
         self.reset.insert(name, (self.reset.len(), build));
     }
 
@@ -270,6 +330,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |body: &mut EventBody, rng: &mut EnvRng| f(&p, body, rng)))
         });
+        self.forms.remove(&(FormKind::Interval, name));
         self.interval.insert(name, (self.interval.len(), build));
     }
 

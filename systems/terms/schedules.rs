@@ -159,6 +159,11 @@ impl VelocityRanges {
         ranges
     }
 
+    /// The ranges in front of any change.
+    pub(in crate::systems) fn base(&self) -> [[f32; 2]; 3] {
+        self.base
+    }
+
     /// Whether the ranges change.
     pub(in crate::systems) fn are_scheduled(&self) -> bool {
         !self.stages.is_empty() || self.widest.iter().any(Option::is_some)

@@ -8,4 +8,5 @@ mod polypod_joins_an_app;
 mod simulation_api;
 mod tasks_run_on_avian;
 mod the_device_has_the_bits_of_the_cpu;
+mod the_device_makes_whole_control_steps;
 mod viewers_see_what_happens;

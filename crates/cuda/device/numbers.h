@@ -160,6 +160,40 @@ FN void sin_cos(float x, float *sine, float *cosine) {
     *cosine = cos_negative ? -c1 : c1;
 }
 
+/* e^x, tanh of a number that is not negative, and the angle of (x, y), of the same file */
+FN float exp_(float x) {
+    float bounded = max_(min_(x, 88.0f), -87.0f);
+    float k = rintf(bounded * (float)1.44269504088896340736);
+    float r = nfma(k, (float)-2.1219444e-4, nfma(k, (float)0.6933594, bounded));
+    float p = fma_((float)1.9875692e-4, r, (float)1.3981999e-3);
+    p = fma_(fma_(p, r, (float)8.333452e-3), r, (float)4.1665796e-2);
+    p = fma_(fma_(p, r, (float)0.16666666), r, 0.5f);
+    float y = fma_(p, r * r, r) + 1.0f;
+    union { int bits; float number; } power;
+    power.bits = ((int)k + 127) * (1 << 23);
+    return x < -87.0f ? 0.0f : y * power.number;
+}
+FN float tanh_positive(float x) {
+    float e = exp_(-2.0f * x);
+    return (1.0f - e) / (1.0f + e);
+}
+FN float atan2_(float y, float x) {
+    float ax = fabsf(x), ay = fabsf(y);
+    float small = ay < ax ? ay : ax, large = ay < ax ? ax : ay, t = 0.0f < large ? small / large : 0.0f, t2 = t * t;
+    float p = fma_(0.0f, t2, (float)0.0028662257);
+    p = fma_(p, t2, (float)-0.016165737);
+    p = fma_(p, t2, (float)0.042909614);
+    p = fma_(p, t2, (float)-0.07528964);
+    p = fma_(p, t2, (float)0.10656264);
+    p = fma_(p, t2, (float)-0.142089);
+    p = fma_(p, t2, (float)0.19993551);
+    p = fma_(p, t2, (float)-0.33333145);
+    float a = fma_(p * t2, t, t);
+    if (!(ay < ax)) a = (float)1.57079632679489661923 - a;
+    if (x < 0.0f) a = (float)3.14159265358979323846 - a;
+    return y < 0.0f ? -a : a;
+}
+
 /* Spatial vectors are angular, then linear, about the base's origin in base axes. */
 FN float dot6(const float *a, const float *b) {
     return fma_(a[0], b[0], fma_(a[1], b[1], fma_(a[2], b[2], dot(a + 3, b + 3))));

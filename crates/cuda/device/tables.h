@@ -93,8 +93,77 @@ enum Size {
     FOUND_POINT = 0, FOUND_NORMAL = 3, FOUND_GAP = 6, FOUND_FRAME = 7, FOUND_SIZE = 16
 };
 
+/* A task, for the robots of a block: integers at the beginning of its table of integers, then where lists
+ * begin. Lists of terms have entries of FORM_SIZE integers. */
+enum Task {
+    K_SLOTS, K_ACTIONS, K_OBSERVED, K_FEET, K_AUTORESET, K_HAS_COMMAND, K_HEADING_COMMAND, K_LONGEST, K_SCALES, K_REMEMBERS,
+    K_NUM_DELAYS, K_NUM_INTERVALS, K_NUM_RESETS, K_NUM_ENDS, K_NUM_REWARDS, K_NUM_TERMS,
+    /* lists: slots, contact bodies that are feet, groups of contact bodies, actuator delays, terms */
+    K_SLOT, K_FOOT, K_GROUP, K_DELAY, K_INTERVAL, K_RESET, K_END, K_REWARD, K_TERM,
+    /* columns of an env: its actions, command, timers, sums, times of its feet, stance and mass */
+    X_ACTION, X_PREVIOUS, X_COMMAND, X_TIMER, X_SUM, X_TOTAL, X_TIME, X_DEFAULT, X_SCALE, X_SPAWN, X_MASS,
+    NUM_TASK
+};
+
+/* Numbers at the beginning of a task's table of numbers. */
+enum TaskNumber {
+    F_DT, F_STEP, F_HEIGHT, F_DOWN, F_FREE_FALL = F_DOWN + 3, F_LIMIT, F_RANGE = F_LIMIT + 7,
+    F_HEADING = F_RANGE + 6, F_STIFFNESS = F_HEADING + 2, F_HEADING_SHARE, F_STANDING_SHARE, F_TURNING_SHARE,
+    F_SIDEWAYS_SHARE, F_RESAMPLING, F_MARGIN, F_SOFT, F_BASE_VELOCITY, F_JOINT_POSITION = F_BASE_VELOCITY + 2,
+    F_JOINT_VELOCITY = F_JOINT_POSITION + 2, NUM_TASK_NUMBERS = F_JOINT_VELOCITY + 2
+};
+
+/* Sizes and places of a task's lists and of an env's columns. */
+enum TaskSize {
+    SLOT_SIZE = 3,   /* joint, column of the batch, where the joint's sign is */
+    DELAY_SIZE = 4,  /* fewest and most physics steps, number of joints, where they are */
+    /* a term: what it is, where its numbers and integers begin, how many integers; of an end whether it
+     * truncates, of an observation its column, numbers and memory */
+    FORM_SIZE = 7, FORM_NUMBERS = 1, FORM_INTEGERS = 2, FORM_COUNT = 3, FORM_MORE = 4,
+    /* numbers of an observation before its own: noise, clip, scale */
+    FILTER_SIZE = 4,
+    COMMAND_SIZE = 5, COMMAND_HEADING = 3, COMMAND_LEFT = 4,
+    TOTALS = 6,      /* reward, errors of velocity and yaw rate, commanded ones, speed */
+    TIMES = 4,       /* of each foot: contact, air, last contact, last air */
+    /* columns of integers of an env */
+    U_STATE = 0, U_INCREMENT = 2, U_LENGTH = 4, U_LIVED, U_CAUSES, U_STEPS, U_FLAGS, NUM_WORDS,
+    /* bits of its flags */
+    TERMINATED = 1, TRUNCATED = 2, NEEDS_RESET = 4, INVALID = 8, LOGGED = 16, FRESH = 32, FRESH_TARGETS = 64,
+    HOLDS_HEADING = 128, STANDING = 256, PINNED = 512, HAS_FINAL = 1024, BROKEN = 2048,
+    AT_SAME_STEP = 0, AT_NEXT_STEP = 1, NEVER = 2,
+    /* an episode that ended: env, flags, causes, steps; then its totals and the sums of its terms */
+    ENDED_SIZE = 4
+};
+
+/* Terms that have a form on the device. */
+enum Interval { INTERVAL_PUSH_ROBOT, INTERVAL_BASE_EXTERNAL_FORCE_TORQUE };
+enum Reset {
+    RESET_RESET_BASE, RESET_RESET_JOINTS, RESET_RESET_JOINTS_WITHIN_LIMITS_RANGE, RESET_BASE_EXTERNAL_FORCE_TORQUE,
+    RESET_ACTION_DELAY
+};
+enum End {
+    END_TIME_OUT, END_BASE_CONTACT, END_ILLEGAL_CONTACT, END_BAD_ORIENTATION, END_ROOT_HEIGHT_BELOW_MINIMUM
+};
+enum Reward {
+    REWARD_TRACK_LIN_VEL_XY_EXP, REWARD_TRACK_ANG_VEL_Z_EXP, REWARD_LIN_VEL_Z_L2, REWARD_ANG_VEL_XY_L2,
+    REWARD_FLAT_ORIENTATION_L2, REWARD_BASE_ANGULAR_VELOCITY, REWARD_BASE_LINEAR_VELOCITY, REWARD_BASE_HEIGHT_L2,
+    REWARD_BASE_MOTION, REWARD_BASE_ORIENTATION, REWARD_JOINT_ACC, REWARD_JOINT_POS, REWARD_JOINT_TORQUES,
+    REWARD_IS_ALIVE, REWARD_IS_TERMINATED, REWARD_JOINT_VEL, REWARD_DOF_TORQUES_L2, REWARD_DOF_ACC_L2,
+    REWARD_JOINT_VEL_L2, REWARD_JOINT_DEVIATION_L1, REWARD_JOINT_POS_LIMITS, REWARD_STAND_STILL_JOINT_DEVIATION_L1,
+    REWARD_ACTION_RATE_L2, REWARD_ACTION_SMOOTHNESS, REWARD_FEET_AIR_TIME, REWARD_UNDESIRED_CONTACTS,
+    REWARD_AIR_TIME, REWARD_AIR_TIME_VARIANCE, REWARD_FOOT_CLEARANCE, REWARD_FOOT_SLIP, REWARD_GAIT,
+    REWARD_FEET_AIR_TIME_POSITIVE_BIPED, REWARD_FEET_SLIDE, REWARD_DESIRED_CONTACTS, REWARD_GAIT_SYMMETRY,
+    REWARD_SCALED_TORQUES_L2, REWARD_SCALED_ACC_L2
+};
+enum Observation {
+    OBSERVATION_BASE_LIN_VEL, OBSERVATION_BASE_ANG_VEL, OBSERVATION_PROJECTED_GRAVITY,
+    OBSERVATION_VELOCITY_COMMANDS, OBSERVATION_JOINT_POS_REL, OBSERVATION_JOINT_VEL_REL, OBSERVATION_LAST_ACTION
+};
+
 #ifdef __CUDACC__
+#ifndef TILE
 #define TILE (WARP / LANES)
+#endif
 #else
 #define TILE TILE_OF_HOST
 #endif

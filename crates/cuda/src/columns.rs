@@ -73,6 +73,18 @@ impl Shape {
         self.ranges()[2].end
     }
 
+    /// Numbers that are kept of a robot that is watched: its rows of drive, state and report before
+    /// the physics of a control step and after it, and the length of its episode.
+    pub fn kept(&self) -> usize {
+        2 * self.of_one().exchanged() + 1
+    }
+
+    /// The shape of one robot.
+    #[must_use]
+    pub fn of_one(&self) -> Self {
+        Self { robots: 1, ..self.clone() }
+    }
+
     /// Numbers of scratch memory, and integers.
     pub fn scratch(&self) -> [usize; 2] {
         [self.tables.sizes.work, self.tables.sizes.work_integers].map(|size| size * self.tile * self.tiles())
@@ -254,6 +266,19 @@ impl<'a> Exchange<'a> {
         write(&mut self.drive[at..], delays);
     }
 
+    /// Reads the targets, the newest first, and their delays.
+    #[inline]
+    pub fn read_targets<'b>(&self, robot: usize, targets: impl Iterator<Item = &'b mut f32>, delays: &mut [f32]) {
+        read(&self.drive[self.drive_place(robot, D_TARGET)..], targets);
+        read(&self.drive[self.drive_place(robot, D_DELAY)..], delays);
+    }
+
+    /// Reads the force and torque on the base.
+    #[inline]
+    pub fn read_wrench(&self, robot: usize, force: &mut [f32; 3], torque: &mut [f32; 3]) {
+        read(&self.drive[self.drive_place(robot, D_FORCE)..], force.iter_mut().chain(torque));
+    }
+
     /// Writes efforts that are added to those of the gains, N m.
     #[inline]
     pub fn write_feedforward(&mut self, robot: usize, efforts: &[f32]) {
@@ -281,6 +306,14 @@ impl<'a> Exchange<'a> {
     pub fn read_joints(&self, robot: usize, efforts: &mut [f32], accelerations: &mut [f32]) {
         read(&self.report[self.report_place(robot, R_EFFORT, 0)..], efforts);
         read(&self.report[self.report_place(robot, R_ACCELERATION, 0)..], accelerations);
+    }
+
+    /// Writes efforts and accelerations of the joints.
+    #[inline]
+    pub fn write_joints(&mut self, robot: usize, efforts: &[f32], accelerations: &[f32]) {
+        let at = [R_EFFORT, R_ACCELERATION].map(|name| self.report_place(robot, name, 0));
+        write(&mut self.report[at[0]..], efforts);
+        write(&mut self.report[at[1]..], accelerations);
     }
 
     /// The force on a body in the last physics step, world axes, N.
@@ -328,7 +361,7 @@ pub struct Parts<'a> {
     /// The parameters of all robots.
     pub common: &'a [f32],
     /// Rows of the drive.
-    pub drive: &'a [f32],
+    pub drive: &'a mut [f32],
     /// Rows of the state.
     pub state: &'a mut [f32],
     /// Rows of the report.

@@ -1,6 +1,7 @@
 //! Devices, as an engine sees them: memory for blocks of robots, and their steps.
 
 use crate::columns::{Exchange, Shape};
+use crate::envs::{EnvHost, TaskTables};
 use crate::tables::Unsupported;
 
 /// Why a device cannot be used, or no longer.
@@ -99,6 +100,15 @@ pub trait Device: Send + Sync {
         Ok(())
     }
 
+    /// Makes the whole control steps of all blocks that [`EnvBlock::start`] noted since the last
+    /// call, and waits for them.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn step_envs(&self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
     /// Seconds between the beginning and the end of the last launch, where the device measures
     /// them.
     fn seconds(&self) -> Option<f64> {
@@ -141,4 +151,54 @@ pub trait DeviceBlock: Send + Sync {
     fn is_ready(&mut self) -> bool {
         true
     }
+
+    /// The envs of the robots, where the device makes whole control steps.
+    fn envs(&mut self) -> Option<&mut dyn EnvBlock> {
+        None
+    }
+}
+
+/// The robots of a block with their envs, whose whole control step the device makes: nothing of
+/// their state leaves it. An error means that the device is lost.
+pub trait EnvBlock {
+    /// Takes over a task. The block's lists must have room for all impulses.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError>;
+
+    /// The host's side; `None` before there is a task.
+    fn host(&mut self) -> Option<EnvHost<'_>>;
+
+    /// Whether the next control steps keep the rows of robots whose states break.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    fn watch(&mut self, watched: bool) -> Result<(), DeviceError>;
+
+    /// The rows of a robot that were kept in the last control step, see
+    /// [`Shape::kept`](crate::Shape::kept).
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError>;
+
+    /// Copies the rows of drive, state and report, columns, words and observations to the device.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn upload(&mut self) -> Result<(), DeviceError>;
+
+    /// Copies the rows of drive, state and report, columns and words to the host.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn download(&mut self) -> Result<(), DeviceError>;
+
+    /// Notes a control step for the next [`Device::step_envs`], with the actions of the host's
+    /// side.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn start(&mut self) -> Result<(), DeviceError>;
 }

@@ -2,17 +2,20 @@
 #![allow(unsafe_code, reason = "the border to the driver")]
 
 use std::ffi::c_int;
+use std::ops::Range;
 use std::ptr::NonNull;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 
 use cudarc::driver::sys::{CUdeviceptr, CUevent_flags, CUresult};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaSlice, CudaStream, DevicePtr, DriverError, LaunchConfig, PushKernelArg, result, sys,
+    CudaContext, CudaEvent, CudaFunction, CudaSlice, CudaStream, DevicePtr, DriverError, LaunchConfig, PushKernelArg,
+    result, sys,
 };
 
 use crate::columns::{Exchange, Shape};
-use crate::device::{Device, DeviceBlock, DeviceError};
+use crate::device::{Device, DeviceBlock, DeviceError, EnvBlock};
+use crate::envs::{EnvHost, EnvParts, TaskTables};
 use crate::kernels::{Kernel, Kernels, Own, locked};
 use crate::nvrtc;
 
@@ -22,13 +25,15 @@ const OLDEST_CUDA: i32 = 11040;
 const OLDEST_CAPABILITY: (i32, i32) = (8, 0);
 /// Threads of a warp, which are a block of the kernel.
 const THREADS: usize = 32;
+/// Warps of a block of the kernel of envs.
+const WARPS_OF_ENVS: usize = 2;
 /// Looks at a number in the host's memory for each question to the driver, which is slow and knows
 /// whether the card is lost.
 const POLLS_OF_CARD: u32 = 1 << 12;
 /// Bytes that the context and the kernel take beyond the robots' memory.
 const RESERVED: usize = 64 << 20;
 
-/// `Block` of `device/step.cu`.
+/// `Block` of `device/block.h`.
 #[derive(Clone, Copy)]
 #[repr(C)]
 struct Arguments {
@@ -52,6 +57,30 @@ struct Arguments {
     end: c_int,
     warp: c_int,
     number: c_int,
+}
+
+/// `EnvBlock` of `device/env.cu`.
+#[derive(Clone, Copy)]
+#[repr(C)]
+struct EnvArguments {
+    block: Arguments,
+    task: CUdeviceptr,
+    task_numbers: CUdeviceptr,
+    columns: CUdeviceptr,
+    words: CUdeviceptr,
+    actions: CUdeviceptr,
+    observations: CUdeviceptr,
+    finals: CUdeviceptr,
+    kept: CUdeviceptr,
+    host_actions: CUdeviceptr,
+    host_observations: CUdeviceptr,
+    host_finals: CUdeviceptr,
+    rewards: CUdeviceptr,
+    commands: CUdeviceptr,
+    flags: CUdeviceptr,
+    ended: CUdeviceptr,
+    ended_size: c_int,
+    warp: c_int,
 }
 
 pub(crate) fn call(call: &'static str) -> impl Fn(DriverError) -> DeviceError {
@@ -131,6 +160,7 @@ pub struct Card {
 struct Queue {
     stream: Arc<CudaStream>,
     launch: Mutex<Launch>,
+    env_launch: Mutex<EnvLaunch>,
     /// Streams of own kernels, which step side by side.
     others: Mutex<Vec<Arc<CudaStream>>>,
     /// Before and after a launch, where steps are measured.
@@ -143,6 +173,15 @@ struct Launch {
     waiting: Vec<(Kernel, Arguments)>,
     /// Arguments of the launches that run, which the card reads from the host's memory.
     arguments: Option<Pinned<Arguments>>,
+}
+
+/// Blocks that wait for a whole control step.
+#[derive(Default)]
+struct EnvLaunch {
+    waiting: Vec<(Kernel, EnvArguments)>,
+    /// Arguments of the launches that run, which the card reads from the host's memory.
+    envs: Option<Pinned<EnvArguments>>,
+    robots: Option<Pinned<Arguments>>,
 }
 
 impl Card {
@@ -158,7 +197,13 @@ impl Card {
         let event = || context.new_event(Some(CUevent_flags::CU_EVENT_DEFAULT)).map_err(call("cuEventCreate"));
         let events = if timed { Some([event()?, event()?]) } else { None };
         let stream = context.new_stream().map_err(call("cuStreamCreate"))?;
-        let queue = Arc::new(Queue { stream, launch: Mutex::default(), others: Mutex::default(), events });
+        let queue = Arc::new(Queue {
+            stream,
+            launch: Mutex::default(),
+            env_launch: Mutex::default(),
+            others: Mutex::default(),
+            events,
+        });
         Ok(Self { context, kernels, name, queue, ground: Mutex::default() })
     }
 }
@@ -209,22 +254,26 @@ impl Queue {
         event.map_or(Ok(()), |event| event.record(&self.stream)).map_err(call("cuEventRecord"))
     }
 
-    /// Launches the kernels of the blocks that wait, those of one kernel together.
-    fn launch(&self) -> Result<(), DeviceError> {
-        // the card must not read arguments that are written
-        self.finish()?;
-        let Launch { waiting, arguments } = &mut *locked(&self.launch);
-        let len = waiting.len();
-        if len == 0 {
-            return Ok(());
+    /// Memory for arguments: that of the last launch, if it is large enough.
+    fn pinned<T: Plain>(&self, of_last: Option<Pinned<T>>, len: usize) -> Result<Pinned<T>, DeviceError> {
+        match of_last.filter(|of_last| of_last.len >= len) {
+            Some(of_last) => Ok(of_last),
+            None => Pinned::new(self.stream.context(), len).map_err(call("cuMemHostAlloc")),
         }
-        let mut written = match arguments.take().filter(|of_last| of_last.len >= len) {
-            Some(of_last) => of_last,
-            None => Pinned::new(self.stream.context(), len).map_err(call("cuMemHostAlloc"))?,
-        };
+    }
+
+    /// Launches the physics of blocks, those of one kernel together, with arguments in the memory
+    /// that is returned. `in_order`: after all work before, and before all work after.
+    fn launch_physics(
+        &self,
+        of_last: Option<Pinned<Arguments>>,
+        blocks: &[(&Kernel, Arguments)],
+        in_order: bool,
+    ) -> Result<Pinned<Arguments>, DeviceError> {
+        let mut written = self.pinned(of_last, blocks.len())?;
         let start = written.address();
         let mut launches: Vec<Group> = Vec::new();
-        for (place, (kernel, block)) in waiting.iter().enumerate() {
+        for (place, (kernel, block)) in blocks.iter().enumerate() {
             let together = launches.last().is_some_and(|group| kernel.is_common && group.kernel.is_common);
             if !together {
                 launches.push(Group { kernel, place, count: 0, warps: 0 });
@@ -234,7 +283,9 @@ impl Queue {
             group.count += 1;
             group.warps += usize::try_from(block.robots).unwrap_or(0).div_ceil(THREADS / kernel.threads);
         }
-        self.note(0)?;
+        let others = if in_order { 1..launches.len() } else { 0..0 };
+        let others: Vec<_> = others.map(|n| self.stream_of(n)).collect::<Result<_, _>>()?;
+        others.iter().try_for_each(|other| other.join(&self.stream)).map_err(call("cuStreamWaitEvent"))?;
         for (n, Group { kernel, place, count, warps }) in launches.into_iter().enumerate() {
             let blocks = start + (size_of::<Arguments>() * place) as CUdeviceptr;
             let config = LaunchConfig {
@@ -248,9 +299,67 @@ impl Queue {
             unsafe { self.stream_of(n)?.launch_builder(&kernel.function).arg(&blocks).arg(&count).launch(config) }
                 .map_err(call("cuLaunchKernel"))?;
         }
-        *arguments = Some(written);
+        others.iter().try_for_each(|other| self.stream.join(other)).map_err(call("cuStreamWaitEvent"))?;
+        Ok(written)
+    }
+
+    /// Launches the blocks that wait.
+    fn launch(&self) -> Result<(), DeviceError> {
+        // the card must not read arguments that are written
+        self.finish()?;
+        let Launch { waiting, arguments } = &mut *locked(&self.launch);
+        if waiting.is_empty() {
+            return Ok(());
+        }
+        let blocks: Vec<_> = waiting.iter().map(|(kernel, block)| (kernel, *block)).collect();
+        self.note(0)?;
+        *arguments = Some(self.launch_physics(arguments.take(), &blocks, false)?);
         waiting.clear();
         self.note(1)
+    }
+
+    /// Launches one half of the control steps of envs around their physics.
+    fn launch_envs(
+        &self,
+        function: &CudaFunction,
+        (blocks, count, warps): (CUdeviceptr, usize, usize),
+        after: bool,
+    ) -> Result<(), DeviceError> {
+        let config = LaunchConfig {
+            grid_dim: (u32::try_from(warps.div_ceil(WARPS_OF_ENVS)).unwrap_or(u32::MAX), 1, 1),
+            block_dim: ((THREADS * WARPS_OF_ENVS) as u32, 1, 1),
+            shared_mem_bytes: 0,
+        };
+        let (count, after) = (whole(count), c_int::from(after));
+        // SAFETY: the arrays have the sizes of the tables' lists and columns, which bound every
+        // index of the text
+        unsafe { self.stream.launch_builder(function).arg(&blocks).arg(&count).arg(&after).launch(config) }
+            .map(drop)
+            .map_err(call("cuLaunchKernel"))
+    }
+
+    /// Makes the whole control steps of the blocks that wait, and waits for them.
+    fn step_envs(&self, function: &CudaFunction) -> Result<(), DeviceError> {
+        self.finish()?;
+        let EnvLaunch { waiting, envs, robots } = &mut *locked(&self.env_launch);
+        if waiting.is_empty() {
+            return Ok(());
+        }
+        let (mut written, mut warps) = (self.pinned(envs.take(), waiting.len())?, 0);
+        for (to, (_, block)) in written.numbers().iter_mut().zip(&*waiting) {
+            *to = EnvArguments { warp: whole(warps), ..*block };
+            warps += usize::try_from(block.block.robots).unwrap_or(0).div_ceil(THREADS);
+        }
+        let all = (written.address(), waiting.len(), warps);
+        let blocks: Vec<_> = waiting.iter().map(|(kernel, env)| (kernel, env.block)).collect();
+        self.note(0)?;
+        self.launch_envs(function, all, false)?;
+        *robots = Some(self.launch_physics(robots.take(), &blocks, true)?);
+        self.launch_envs(function, all, true)?;
+        self.note(1)?;
+        *envs = Some(written);
+        waiting.clear();
+        self.finish()
     }
 }
 
@@ -320,6 +429,8 @@ impl Device for Card {
             steps: 0,
             polls: 0,
             queue: self.queue.clone(),
+            envs: None,
+            context: self.context.clone(),
             shape,
         };
         self.queue.finish()?;
@@ -328,6 +439,10 @@ impl Device for Card {
 
     fn launch(&self) -> Result<(), DeviceError> {
         self.queue.launch()
+    }
+
+    fn step_envs(&self) -> Result<(), DeviceError> {
+        self.queue.step_envs(&self.kernels.of_envs()?)
     }
 
     fn seconds(&self) -> Option<f64> {
@@ -353,6 +468,7 @@ trait Plain: Copy {}
 impl Plain for f32 {}
 impl Plain for u32 {}
 impl Plain for Arguments {}
+impl Plain for EnvArguments {}
 
 impl<T: Plain> Pinned<T> {
     /// Numbers that are zero.
@@ -415,6 +531,23 @@ struct CardBlock {
     /// Looks at `done` so far.
     polls: u32,
     queue: Arc<Queue>,
+    envs: Option<CardEnvs>,
+    context: Arc<CudaContext>,
+}
+
+/// Envs of a block on a card.
+struct CardEnvs {
+    task: TaskTables,
+    integers: CudaSlice<i32>,
+    task_numbers: CudaSlice<f32>,
+    /// The parts of [`EnvParts::of_device`].
+    numbers: CudaSlice<f32>,
+    words: CudaSlice<u32>,
+    /// Rows of robots that are watched.
+    kept: Option<CudaSlice<f32>>,
+    /// The parts of [`EnvParts::of_host`].
+    host_numbers: Pinned<f32>,
+    host_words: Pinned<u32>,
 }
 
 impl Drop for CardBlock {
@@ -516,5 +649,137 @@ impl DeviceBlock for CardBlock {
 
     fn is_ready(&mut self) -> bool {
         self.kernels.is_ready(&self.shape.tables, &mut self.own)
+    }
+
+    fn envs(&mut self) -> Option<&mut dyn EnvBlock> {
+        Some(self)
+    }
+}
+
+/// Bytes of a number.
+const NUMBER: usize = size_of::<f32>();
+
+impl EnvBlock for CardBlock {
+    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError> {
+        let (stream, parts) = (&self.queue.stream, task.parts(self.shape.robots));
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        // begins to compile
+        self.kernels.of_envs()?;
+        let ([numbers, words], [host_numbers, host_words]) = (parts.of_device(), parts.of_host());
+        let (free, _) = self.context.mem_get_info().map_err(call("cuMemGetInfo"))?;
+        let needed = NUMBER * (numbers + words) + RESERVED;
+        if needed > free {
+            return Err(DeviceError::Memory { needed: needed >> 20, free: free >> 20 });
+        }
+        let memory = call("cuMemAlloc");
+        self.envs = Some(CardEnvs {
+            integers: stream.clone_htod(&task.integers).map_err(&memory)?,
+            task_numbers: stream.clone_htod(&task.numbers).map_err(&memory)?,
+            numbers: stream.alloc_zeros(numbers.max(1)).map_err(&memory)?,
+            words: stream.alloc_zeros(words.max(1)).map_err(&memory)?,
+            kept: None,
+            host_numbers: Pinned::new(&self.context, host_numbers.max(1)).map_err(&memory)?,
+            host_words: Pinned::new(&self.context, host_words.max(1)).map_err(&memory)?,
+            task,
+        });
+        self.queue.finish()
+    }
+
+    fn host(&mut self) -> Option<EnvHost<'_>> {
+        let CardEnvs { task, host_numbers, host_words, .. } = self.envs.as_mut()?;
+        Some(EnvHost::new(task, self.shape.robots, host_numbers.numbers(), host_words.numbers()))
+    }
+
+    fn watch(&mut self, watched: bool) -> Result<(), DeviceError> {
+        let Self { shape, envs, queue, .. } = self;
+        let Some(envs) = envs.as_mut().filter(|envs| envs.kept.is_some() != watched) else { return Ok(()) };
+        queue.finish()?;
+        let kept = |()| queue.stream.alloc_zeros(shape.kept() * shape.robots).map_err(call("cuMemAlloc"));
+        envs.kept = watched.then_some(()).map(kept).transpose()?;
+        Ok(())
+    }
+
+    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError> {
+        let (size, stream) = (self.shape.kept(), &self.queue.stream);
+        let kept = self.envs.as_ref().and_then(|envs| envs.kept.as_ref());
+        let Some(kept) = kept else { return Ok(vec![0.0; size]) };
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        stream.clone_dtoh(&kept.slice(robot * size..(robot + 1) * size)).map_err(call("cuMemcpyDtoH"))
+    }
+
+    fn upload(&mut self) -> Result<(), DeviceError> {
+        let Self { shape, exchanged, host, envs, queue, .. } = self;
+        let stream = &queue.stream;
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let rows = 0..shape.exchanged();
+        let copy = |from: &[f32], to: &mut CudaSlice<f32>, part: Range<usize>| {
+            stream.memcpy_htod(&from[part.clone()], &mut to.slice_mut(part)).map_err(call("cuMemcpyHtoD"))
+        };
+        copy(host.numbers(), exchanged, rows)?;
+        if let Some(CardEnvs { task, numbers, words, host_numbers, host_words, .. }) = envs {
+            let EnvParts { numbers: parts, words: word_parts } = task.parts(shape.robots);
+            for part in [&parts[0], &parts[2]] {
+                copy(host_numbers.numbers(), numbers, part.clone())?;
+            }
+            let part = word_parts[0].clone();
+            stream.memcpy_htod(&host_words.numbers()[part], words).map_err(call("cuMemcpyHtoD"))?;
+        }
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn download(&mut self) -> Result<(), DeviceError> {
+        let Self { exchanged, host, envs, shape, queue, .. } = self;
+        let stream = &queue.stream;
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        stream.memcpy_dtoh(exchanged, host.numbers()).map_err(call("cuMemcpyDtoH"))?;
+        if let Some(CardEnvs { task, numbers, words, host_numbers, host_words, .. }) = envs {
+            let EnvParts { numbers: parts, words: word_parts } = task.parts(shape.robots);
+            let columns = parts[0].clone();
+            let to = &mut host_numbers.numbers()[columns.clone()];
+            stream.memcpy_dtoh(&numbers.slice(columns), to).map_err(call("cuMemcpyDtoH"))?;
+            let to = &mut host_words.numbers()[word_parts[0].clone()];
+            stream.memcpy_dtoh(words, to).map_err(call("cuMemcpyDtoH"))?;
+        }
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        let kernel = self.kernels.for_step(&self.shape.tables, &mut self.own, self.steps)?;
+        self.steps = self.steps.wrapping_add(1);
+        // the rows stay where they are
+        let block = Arguments { host: 0, ..self.arguments() };
+        let (robots, stream) = (self.shape.robots, &self.queue.stream);
+        let Some(CardEnvs { task, integers, task_numbers, numbers, words, kept, host_numbers, host_words }) =
+            &self.envs
+        else {
+            return Err(DeviceError::Call { call: "polypod_env_step", text: "there is no task".into() });
+        };
+        let EnvParts { numbers: parts, words: word_parts } = task.parts(robots);
+        let after = |start: CUdeviceptr, part: &Range<usize>| start + (NUMBER * part.start) as CUdeviceptr;
+        let of_device = |part: usize| after(numbers.device_ptr(stream).0, &parts[part]);
+        let of_host = |part: usize| after(host_numbers.address(), &parts[part]);
+        let of_words = |part: usize| after(host_words.address(), &word_parts[part]);
+        let arguments = EnvArguments {
+            block,
+            task: integers.device_ptr(stream).0,
+            task_numbers: task_numbers.device_ptr(stream).0,
+            columns: of_device(0),
+            words: words.device_ptr(stream).0,
+            actions: of_device(1),
+            observations: of_device(2),
+            finals: of_device(3),
+            kept: kept.as_ref().map_or(0, |kept| kept.device_ptr(stream).0),
+            host_actions: of_host(1),
+            host_observations: of_host(2),
+            host_finals: of_host(3),
+            rewards: of_host(4),
+            commands: of_host(5),
+            flags: of_words(1),
+            ended: of_words(2),
+            ended_size: whole(task.widths[2]),
+            warp: 0,
+        };
+        locked(&self.queue.env_launch).waiting.push((kernel, arguments));
+        Ok(())
     }
 }

@@ -19,6 +19,8 @@ use crate::tables::Tables;
 /// Environment variable that says which kernels step: `own`, for which the first step waits, or
 /// `ready`, where own ones take over when they are compiled. By default the common one steps.
 const VARIABLE: &str = "POLYPOD_CUDA_KERNELS";
+/// Name of the physics kernel.
+const STEP: &str = "polypod_control_step";
 /// Control steps of a block after which its own kernel is worth its compilation.
 const WORTH: u32 = 50;
 /// Most own kernels of an engine: each is some hundred kB of code.
@@ -26,11 +28,11 @@ const MOST: usize = 64;
 /// Most kernels that are compiled at a time.
 const MOST_AT_A_TIME: usize = 8;
 
-/// The kernel in a PTX.
-pub(crate) fn load(context: &Arc<CudaContext>, ptx: String) -> Result<CudaFunction, DeviceError> {
+/// The kernel of that name in a PTX.
+fn load(context: &Arc<CudaContext>, ptx: String, name: &str) -> Result<CudaFunction, DeviceError> {
     let call = crate::driver::call;
     let module = context.load_module(Ptx::from_src(ptx)).map_err(call("cuModuleLoadData"))?;
-    module.load_function("polypod_control_step").map_err(call("cuModuleGetFunction"))
+    module.load_function(name).map_err(call("cuModuleGetFunction"))
 }
 
 /// An own kernel, once it is compiled; `None` where the common kernel steps instead.
@@ -66,6 +68,8 @@ pub(crate) struct Kernels {
     /// The common kernel, and the threads that step a robot together, once the number of robots is
     /// known.
     common: OnceLock<(CudaFunction, usize)>,
+    /// The kernel of envs.
+    envs: OnceLock<CudaFunction>,
     choice: Choice,
     /// Own kernels by the headers of their tables.
     known: Mutex<HashMap<String, Own>>,
@@ -95,6 +99,7 @@ impl Kernels {
         Ok(Self {
             context: context.clone(),
             common: OnceLock::new(),
+            envs: OnceLock::new(),
             choice,
             known: Mutex::default(),
             work: Arc::default(),
@@ -111,8 +116,20 @@ impl Kernels {
             return Ok(*threads);
         }
         let threads = nvrtc::threads_of_robot(robots, self.choice == Choice::Own);
-        let function = load(&self.context, nvrtc::compile(None, threads)?)?;
+        let function = load(&self.context, nvrtc::compile(None, threads)?, STEP)?;
         Ok(self.common.get_or_init(|| (function, threads)).1)
+    }
+
+    /// The kernel of envs, which is compiled in the first call.
+    ///
+    /// # Errors
+    /// A compiler that refuses the text.
+    pub(crate) fn of_envs(&self) -> Result<CudaFunction, DeviceError> {
+        if let Some(function) = self.envs.get() {
+            return Ok(function.clone());
+        }
+        let function = load(&self.context, nvrtc::compile_envs(self.prepare(1)?)?, "polypod_env_step")?;
+        Ok(self.envs.get_or_init(|| function).clone())
     }
 
     /// The own kernel of a new block, where the first step waits for it: those of all blocks are
@@ -186,7 +203,7 @@ fn compile_waiting(context: &Arc<CudaContext>, work: &Mutex<Work>, threads: usiz
             return;
         };
         drop(all);
-        let compile = || nvrtc::compile(Some(&header), threads).and_then(|ptx| load(context, ptx)).map(Some);
+        let compile = || nvrtc::compile(Some(&header), threads).and_then(|ptx| load(context, ptx, STEP)).map(Some);
         // a step may wait for the outcome, whatever it is
         let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(compile));
         let made = made.unwrap_or_else(|_| Err(DeviceError::Compiler("the thread that compiles panicked".into())));

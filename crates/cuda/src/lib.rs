@@ -5,6 +5,7 @@
 mod columns;
 mod device;
 mod driver;
+mod envs;
 mod heights;
 mod kernels;
 mod layout;
@@ -12,16 +13,23 @@ mod nvrtc;
 mod tables;
 
 pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
-pub use device::{Device, DeviceBlock, DeviceError};
+pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
 pub use driver::{Card, Found, find};
+pub use envs::{
+    AutoresetForm, Column, Delay, Ended, EnvHost, EnvParts, EnvRows, Form, FormKind, ObservationForm, RewardForm, Slot,
+    TaskForm, TaskTables, Word, flags,
+};
 pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
 /// The text of the device without comments, file by file: its name and its contents. `step.cu`
-/// includes the others.
-pub const DEVICE_TEXT: [(&str, &str); 12] = [
+/// and `env.cu` include the others.
+pub const DEVICE_TEXT: [(&str, &str); 15] = [
     ("step.cu", include_str!(concat!(env!("OUT_DIR"), "/step.cu"))),
+    ("env.cu", include_str!(concat!(env!("OUT_DIR"), "/env.cu"))),
+    ("env.h", include_str!(concat!(env!("OUT_DIR"), "/env.h"))),
+    ("block.h", include_str!(concat!(env!("OUT_DIR"), "/block.h"))),
     ("step.h", include_str!(concat!(env!("OUT_DIR"), "/step.h"))),
     ("solver.h", include_str!(concat!(env!("OUT_DIR"), "/solver.h"))),
     ("bounds.h", include_str!(concat!(env!("OUT_DIR"), "/bounds.h"))),

@@ -14,7 +14,7 @@ use libloading::{Library, Symbol};
 
 use crate::DEVICE_TEXT;
 use crate::device::DeviceError;
-use crate::layout::{FEW_ROBOTS, MORE_ROBOTS, THREADS_OF_FEW, THREADS_OF_MORE};
+use crate::layout::{FEW_ROBOTS, MORE_ROBOTS, THREADS_OF_FEW, THREADS_OF_MORE, WARP};
 
 /// Environment variable that names the library.
 const VARIABLE: &str = "POLYPOD_NVRTC";
@@ -26,6 +26,9 @@ const OPTIONS: [&CStr; 5] =
 const THREADS_VARIABLE: &str = "POLYPOD_CUDA_THREADS";
 /// Option that makes it the text of the one morphology whose tables [`HEADER`] holds.
 const FOR_ONE: &CStr = c"-DPOLYPOD_TABLES";
+/// Names of the programs.
+const STEP: &str = "step.cu";
+const ENV: &str = "env.cu";
 /// Name of the header in `device/tables.h`.
 const HEADER: &str = "morphology.h";
 /// The oldest version of PTX that knows the architecture: a driver refuses a newer one than its
@@ -149,23 +152,31 @@ impl Drop for Compilation<'_> {
 pub fn compile(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
     static COMMON: Mutex<BTreeMap<usize, String>> = Mutex::new(BTreeMap::new());
     if header.is_some() {
-        return compile_or_find(header, threads);
+        return compile_or_find(STEP, header, threads);
     }
     let mut common = COMMON.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(ptx) = common.get(&threads) {
         return Ok(ptx.clone());
     }
-    let ptx = compile_or_find(None, threads)?;
+    let ptx = compile_or_find(STEP, None, threads)?;
     common.insert(threads, ptx.clone());
     Ok(ptx)
 }
 
-fn compile_or_find(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
-    let kept = library().and_then(|library| Kept::new(library, header, threads));
+/// PTX of the control steps of envs around their physics, where as many threads step a robot there.
+///
+/// # Errors
+/// As [`compile`].
+pub(crate) fn compile_envs(threads: usize) -> Result<String, DeviceError> {
+    compile_or_find(ENV, None, threads)
+}
+
+fn compile_or_find(program: &str, header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
+    let kept = library().and_then(|library| Kept::new(library, program, header, threads));
     if let Some(ptx) = kept.as_ref().and_then(Kept::read) {
         return Ok(ptx);
     }
-    let ptx = compile_text(header, threads)?;
+    let ptx = compile_text(program, header, threads)?;
     if let Some(kept) = kept {
         kept.write(&ptx);
     }
@@ -181,7 +192,7 @@ struct Kept {
 
 impl Kept {
     /// The file of a text; absent where the user has no cache.
-    fn new(library: &Library, header: Option<&str>, threads: usize) -> Option<Self> {
+    fn new(library: &Library, program: &str, header: Option<&str>, threads: usize) -> Option<Self> {
         let variable = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
         let cache = variable("XDG_CACHE_HOME")
             .or_else(|| variable("LOCALAPPDATA"))
@@ -199,7 +210,7 @@ impl Kept {
             made_of += &option.to_string_lossy();
             made_of.push('\n');
         }
-        made_of += &format!("{threads} threads\n");
+        made_of += &format!("{program} with {threads} threads\n");
         for (name, text) in DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header))) {
             made_of += &format!("{name} {}\n{text}", text.len());
         }
@@ -227,10 +238,11 @@ impl Kept {
     }
 }
 
-fn compile_text(header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
+fn compile_text(main: &str, header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
     let library = library().ok_or(DeviceError::NoCompiler)?;
     let mut compilation = Compilation { library, program: std::ptr::null_mut() };
-    let texts = DEVICE_TEXT.into_iter().chain(header.map(|header| (HEADER, header)));
+    let first = DEVICE_TEXT.into_iter().filter(|(name, _)| *name == main);
+    let texts = first.chain(DEVICE_TEXT).chain(header.map(|header| (HEADER, header)));
     let (mut names, mut contents) = (Vec::new(), Vec::new());
     for (name, text) in texts {
         let (Ok(name), Ok(text)) = (CString::new(name), CString::new(text)) else {
@@ -262,10 +274,17 @@ fn compile_text(header: Option<&str>, threads: usize) -> Result<String, DeviceEr
         return Err(failed(format!("error {created} of nvrtcCreateProgram")));
     }
     let own = header.map(|_| FOR_ONE);
-    let Ok(threads) = CString::new(format!("-DLANES={threads}")) else {
+    // one thread steps an env, whose robot's columns are where more threads step it
+    let defined = if main == ENV {
+        vec!["-DLANES=1".to_owned(), format!("-DTILE={}", WARP / threads)]
+    } else {
+        vec![format!("-DLANES={threads}")]
+    };
+    let Ok(defined) = defined.into_iter().map(CString::new).collect::<Result<Vec<_>, _>>() else {
         return Err(failed("an option holds a zero"));
     };
-    let options: Vec<_> = OPTIONS.into_iter().chain(own).chain([&*threads]).map(CStr::as_ptr).collect();
+    let options = OPTIONS.into_iter().chain(own).chain(defined.iter().map(|option| &**option));
+    let options: Vec<_> = options.map(CStr::as_ptr).collect();
     type Compile = unsafe extern "C" fn(Program, c_int, *const *const c_char) -> c_int;
     let compile = compilation.function::<Compile>(c"nvrtcCompileProgram")?;
     // SAFETY: the options are texts that end with a zero

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use bevy_ecs::prelude::Mut;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PySlice};
@@ -15,10 +14,10 @@ use super::exceptions::{
 };
 use super::rows::{StateArguments, env_ids, force_steps, in_world, numbers};
 use super::terrain;
-use polypod::components::{Command, EnvId, Episode};
+use polypod::components::{EnvId, Episode};
 use polypod::config::{POLICY_GROUP, VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig};
-use polypod::morphology::{Morphologies, MorphologyModel};
-use polypod::systems::{CompiledTask, Logs, StateField, TermSpec};
+use polypod::morphology::MorphologyModel;
+use polypod::systems::{StateField, TermSpec};
 use polypod::workers::Workers;
 use polypod::world::Ground;
 use polypod::{Autoreset, ForceRows, Sim, SimOptions};
@@ -61,13 +60,7 @@ impl VecSim {
     fn publish_commands(&mut self, py: Python<'_>) -> PyResult<()> {
         let mut target = self.arrays.command.bind(py).try_readwrite()?;
         let out = target.as_slice_mut()?;
-        self.sim.run(py, |sim| {
-            let world = sim.world_mut();
-            for (env, command) in world.query::<(&EnvId, &Command)>().iter(world) {
-                let at = 3 * env.0 as usize;
-                out[at..at + 3].copy_from_slice(&command.velocity);
-            }
-        })
+        self.sim.run(py, |sim| sim.write_commands(out))
     }
 
     /// JSON of `of` for each robot, by name.
@@ -154,7 +147,13 @@ impl VecSim {
             slots,
             ..SimOptions::new(task, num_envs)
         };
-        let sim = Guarded::new(py, || Sim::new(&options), to_python)?;
+        let make = || {
+            let mut sim = Sim::new(&options)?;
+            // all that Python reads goes through methods that bring the components up to date
+            sim.stay_on_device(true);
+            Ok(sim)
+        };
+        let sim = Guarded::new(py, make, to_python)?;
         let arrays = BatchArrays::zeros(py, sim.num_envs(), sim.batch().num_obs);
         let mut this = Self { sim, arrays };
         this.publish(py)?;
@@ -863,11 +862,7 @@ impl VecSim {
 
     #[doc = docstring!("VecSim.log")]
     fn log(&mut self, py: Python<'_>) -> PyResult<BTreeMap<String, f64>> {
-        self.sim.run(py, |sim| {
-            sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
-                logs.take(world.resource::<CompiledTask>(), world.resource::<Morphologies>())
-            })
-        })
+        self.sim.run(py, Sim::take_log)
     }
 
     #[doc = docstring!("VecSim.take_logs")]
@@ -888,11 +883,7 @@ impl VecSim {
         py: Python<'_>,
         clear: bool,
     ) -> PyResult<BTreeMap<String, BTreeMap<&'static str, f64>>> {
-        let stats = self.sim.run(py, |sim| {
-            sim.world_mut().resource_scope(|world, mut logs: Mut<Logs>| {
-                logs.stats(world.resource::<CompiledTask>(), world.resource::<Morphologies>(), clear)
-            })
-        })?;
+        let stats = self.sim.run(py, |sim| sim.episode_stats(clear))?;
         let entry = |s: polypod::systems::EpisodeStats| {
             let level = s.terrain_level.map(|level| ("terrain_level", level));
             let stats = [
@@ -910,6 +901,22 @@ impl VecSim {
             stats.into_iter().chain(level).collect()
         };
         Ok(stats.into_iter().map(|(robot, stats)| (robot, entry(stats))).collect())
+    }
+
+    #[doc = docstring!("VecSim.stay_on_device")]
+    fn stay_on_device(&mut self, py: Python<'_>, stay: bool) -> PyResult<()> {
+        self.sim.run(py, |sim| sim.stay_on_device(stay))
+    }
+
+    #[doc = docstring!("VecSim.steps_on_device")]
+    #[getter]
+    fn steps_on_device(&self) -> u64 {
+        self.sim.steps_on_device()
+    }
+
+    #[doc = docstring!("VecSim.lacks_on_device")]
+    fn lacks_on_device(&mut self, py: Python<'_>) -> PyResult<Option<String>> {
+        self.sim.run(py, Sim::lacks_on_device)
     }
 
     #[doc = docstring!("VecSim.set_dump_dir")]

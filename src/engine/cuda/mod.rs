@@ -8,6 +8,7 @@
 
 mod robots;
 mod trial;
+mod whole;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -21,6 +22,7 @@ use crate::error::Error;
 use crate::workers::{Workers, packs_of};
 use robots::{Means, Pair, Robots};
 use trial::Trial;
+pub use whole::WholeSteps;
 
 /// Folders of Python packages, in which `cuda` looks for torch's NVRTC; the first call counts.
 pub use polypod_cuda::search_packages;
@@ -128,6 +130,7 @@ impl EngineFactory for OnDevice {
             on_device: placed.as_ref().map_or(0, |placed| placed.robots.len()),
             trial: placed.as_ref().filter(|_| self.if_faster).map(|placed| Trial::new(placed.shares())),
             placed,
+            shares: self.if_faster,
             times: timed.then(Times::default),
         };
         Ok(Box::new(engine))
@@ -156,6 +159,8 @@ struct DeviceEngine {
     on_device: usize,
     /// While it is not known which number is the fastest.
     trial: Option<Trial>,
+    /// Whether the CPU may take a share.
+    shares: bool,
     times: Option<Times>,
 }
 
@@ -312,6 +317,11 @@ impl Engine for DeviceEngine {
         }
         found.sort_by_key(|record| record.env);
         found
+    }
+
+    fn whole_steps(&mut self) -> Option<&mut dyn WholeSteps> {
+        // where the CPU may take a share of the robots, their state is on the host
+        (self.placed.is_some() && self.trial.is_none() && !self.shares).then_some(self)
     }
 }
 

@@ -4,12 +4,15 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, Scene, Shape, list};
-use smallvec::SmallVec;
+use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, Scene, Shape, TaskTables, list};
+use smallvec::{SmallVec, smallvec};
 
 use super::super::{DivergenceRecord, RobotRows, RobotSlices, Run, StateLimits, history_length};
 use crate::blocks::Block;
-use crate::components::{ContactImpulse, LinkForce};
+use crate::components::{
+    ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactImpulse, ExternalWrench,
+    JointEffort, JointState, JointTargets, LinkForce, LinkForces, PerJoint,
+};
 use crate::dynamics::{ActuatorNetwork, Parameters, StepSettings, Topology};
 use crate::morphology::MorphologyModel;
 use crate::workers::{SplitRows, Workers};
@@ -53,6 +56,8 @@ pub(super) struct Robots {
     feet: Vec<usize>,
     others: Vec<usize>,
     block: Box<dyn DeviceBlock>,
+    /// The task that the block has.
+    task: Option<TaskTables>,
     needs: Needs,
 }
 
@@ -120,7 +125,36 @@ pub(super) fn write_rows(workers: &Workers, pairs: Vec<Pair<'_, '_>>, run: &Run)
     found
 }
 
+/// Copies the drives of the device into the components of all robots: targets, delays and wrenches,
+/// which the device has changed in whole control steps.
+pub(super) fn write_drives(workers: &Workers, pairs: Vec<Pair<'_, '_>>) {
+    workers.for_each(parts(workers, pairs).into_iter(), Part::write_drive);
+}
+
+/// Copies the efforts of all robots into the rows of the device, which reports them in the next
+/// control step: they are part of the record of a state that breaks there.
+pub(super) fn read_efforts(workers: &Workers, pairs: Vec<Pair<'_, '_>>) {
+    workers.for_each(parts(workers, pairs).into_iter(), Part::read_effort);
+}
+
 impl Part<'_, '_> {
+    fn read_effort(self) {
+        let Self { rows, mut exchange, .. } = self;
+        for (row, effort) in rows.efforts.iter().enumerate() {
+            exchange.write_joints(row, &effort.applied, &effort.acceleration);
+        }
+    }
+
+    fn write_drive(self) {
+        let Self { rows, exchange, common: Common { ages, .. }, .. } = self;
+        for row in 0..rows.poses.len() {
+            let delays: &mut [f32] = if ages > 1 { &mut rows.delays[row].0 } else { &mut [] };
+            exchange.read_targets(row, rows.targets[row].history.iter_mut().take(ages).flatten(), delays);
+            let wrench = &mut rows.wrenches[row];
+            exchange.read_wrench(row, &mut wrench.force, &mut wrench.torque);
+        }
+    }
+
     fn read(self) {
         let Self { rows, mut exchange, common: Common { ages, forces, needs, .. }, .. } = self;
         let (mut contacts, mut unknown) = (0, false);
@@ -217,6 +251,7 @@ impl Robots {
             feet: feet.to_vec(),
             others: (0..topology.num_bodies).filter(|body| !feet.contains(body)).collect(),
             block,
+            task: None,
             needs: Needs::default(),
         })
     }
@@ -253,6 +288,37 @@ impl Robots {
         self.changed[robot / shape.tile] = true;
     }
 
+    /// The record of a robot whose state broke in the last whole control step, and the length of
+    /// its episode before.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    pub(super) fn record(&mut self, robot: usize) -> Result<(DivergenceRecord, u32), DeviceError> {
+        let (shape, joints, ages) = (self.block.shape().of_one(), self.topology.num_joints(), self.ages);
+        let mut kept = self.block.envs().map_or_else(|| Ok(vec![0.0; shape.kept()]), |envs| envs.kept(robot))?;
+        let (before, after) = kept.split_at_mut(shape.exchanged());
+        let (after, length) = after.split_at_mut(shape.exchanged());
+        let (before, after) = (shape.exchange(before), shape.exchange(after));
+        let zeros: PerJoint = smallvec![0.0; joints];
+        let mut targets = JointTargets { history: smallvec![zeros.clone(); ages], fresh: false };
+        let (mut delay, mut wrench) = (ActuatorDelay(zeros), ExternalWrench::default());
+        let delays: &mut [f32] = if ages > 1 { &mut delay.0 } else { &mut [] };
+        before.read_targets(0, targets.history.iter_mut().flatten(), delays);
+        before.read_wrench(0, &mut wrench.force, &mut wrench.torque);
+        let record = DivergenceRecord {
+            morphology: 0,
+            env: self.envs.start + robot,
+            before: motion(&before, joints),
+            targets,
+            delay,
+            memory: ActuatorMemory::default(),
+            wrench,
+            link_forces: LinkForces::default(),
+            after: motion(&after, joints),
+        };
+        Ok((record, length[0] as u32))
+    }
+
     /// Parts of at most some robots each.
     fn parts<'a, 'b>(&'a mut self, morphology: usize, rows: RobotSlices<'b>, most: usize) -> Vec<Part<'a, 'b>> {
         let Self { envs, ages, forces, feet, others, block, needs, .. } = self;
@@ -281,12 +347,46 @@ impl Robots {
             self.allocate(means, contacts, forces)?;
             read_rows(means.workers, vec![(&mut *self, &mut *block)]);
         }
+        self.send_parameters()?;
+        self.block.start()
+    }
+
+    /// Sends parameters that have changed.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    pub(super) fn send_parameters(&mut self) -> Result<(), DeviceError> {
         if self.changed.contains(&true) {
             let changed: Vec<usize> = (0..self.changed.len()).filter(|&tile| self.changed[tile]).collect();
             self.block.set_parameters(&self.common, self.own, &self.parameters, &changed)?;
             self.changed.fill(false);
         }
-        self.block.start()
+        Ok(())
+    }
+
+    /// The robots' memory.
+    pub(super) fn device_block(&mut self) -> &mut dyn DeviceBlock {
+        &mut *self.block
+    }
+
+    /// Takes over a task for whole control steps, with room for all contacts: a step that the
+    /// device makes alone is not made again.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    pub(super) fn place(&mut self, means: &Means<'_>, task: TaskTables) -> Result<(), DeviceError> {
+        let all = self.topology.num_impulses();
+        if self.block.shape().capacity < all || !self.forces.is_empty() {
+            self.allocate(means, all, Vec::new())?;
+            self.task = None;
+        }
+        if self.task.as_ref() != Some(&task) {
+            if let Some(envs) = self.block.envs() {
+                envs.place(task.clone())?;
+            }
+            self.task = Some(task);
+        }
+        Ok(())
     }
 
     /// Whether the step has ended, so that its rows may be written. Where a robot has more contacts
@@ -322,6 +422,7 @@ impl Robots {
             Shape::new(&self.topology, means.settings, &scene, self.envs.len(), capacity)?
         };
         self.block = means.device.allocate(shape)?;
+        self.task = None;
         self.forces = forces;
         self.changed.fill(true);
         Ok(())
@@ -338,6 +439,28 @@ impl Robots {
         }
         forces
     }
+}
+
+/// The motion of the first robot of rows.
+fn motion(exchange: &Exchange<'_>, joints: usize) -> super::super::Motion {
+    let mut pose = BasePose { position: [0.0; 3], rotation: [0.0; 4] };
+    let (mut velocity, mut state, mut effort) =
+        (BaseVelocity::default(), JointState::zeros(joints), JointEffort::zeros(joints));
+    let contacts = exchange.impulses(0).map(|(contact, impulse)| ContactImpulse { contact, impulse }).collect();
+    let mut impulses = ConstraintImpulses { contacts, bounds: smallvec![0.0; joints] };
+    exchange.read_motion(
+        0,
+        Motion {
+            position: &mut pose.position,
+            rotation: &mut pose.rotation,
+            velocity: [&mut velocity.linear, &mut velocity.angular],
+            joints: &mut state.position,
+            joint_velocities: &mut state.velocity,
+            bounds: &mut impulses.bounds,
+        },
+    );
+    exchange.read_joints(0, &mut effort.applied, &mut effort.acceleration);
+    super::super::Motion { pose, velocity, joints: state, effort, impulses }
 }
 
 /// The first row whose new state, which the device has written, is not finite or beyond the limits.

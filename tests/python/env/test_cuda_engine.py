@@ -46,18 +46,27 @@ def actions(sim: VecSim, steps: int) -> Iterator[np.ndarray]:
         yield random.uniform(-1, 1, (sim.num_envs, sim.num_actions)).astype(np.float32)
 
 
-def check(task: str, num_envs: int, steps: int, overrides: Sequence[str] = SHORT, **options: Any) -> None:
-    """Compares observations and rewards in each step, and the snapshots at the end."""
+def check(
+    task: str, num_envs: int, steps: int, overrides: Sequence[str] = SHORT, stay: bool = True, **options: Any
+) -> None:
+    """Compares observations and rewards in each step, and the snapshots at the end.
+
+    With `stay` the card makes the whole control steps of a task of which all parts have a form there.
+    """
     cpu, gpu = pair(task, num_envs, overrides, **options)
+    gpu.stay_on_device(stay)
+    alone = stay and gpu.lacks_on_device() is None
     ended = 0
     for step, action in enumerate(actions(cpu, steps)):
         cpu.step(action)
         gpu.step(action)
         ended += int(cpu.terminated.sum() + cpu.truncated.sum())
-        for name in ("observation", "reward", "terminated", "truncated"):
+        for name in ("observation", "reward", "terminated", "truncated", "command"):
             one, other = getattr(cpu, name), getattr(gpu, name)
             assert one.tobytes() == other.tobytes(), f"{task}, step {step}: {name}"
     assert ended >= num_envs // 4, f"{ended} episodes ended"
+    assert gpu.steps_on_device == (steps - 2 if alone else 0)
+    assert cpu.log() == gpu.log()
     assert cpu.snapshot() == gpu.snapshot(), f"{task}: a component differs"
 
 
@@ -96,6 +105,14 @@ def test_the_engine_compiles_with_the_flags_whose_result_is_read() -> None:
 @pytest.mark.cuda
 def test_flat_ground_with_resets_pushes_and_randomisation(card: str) -> None:
     check("velocity_flat", 1024, 500)
+    check("velocity_flat", 1024, 100, stay=False)
+
+
+@pytest.mark.cuda
+def test_tasks_that_are_on_the_card_as_a_whole(card: str) -> None:
+    for task in ("velocity_flat", "velocity_flat_legged"):
+        assert VecSim(task, 48, overrides=[CUDA]).lacks_on_device() is None, task
+    assert VecSim("velocity_rough", 48, overrides=[CUDA]).lacks_on_device() == "uneven ground"
 
 
 @pytest.mark.cuda

@@ -36,9 +36,11 @@ def nvrtc() -> Path:
         pytest.skip(str(error))
 
 
-@pytest.fixture(scope="module", params=[1, 4])
+@pytest.fixture(scope="module", params=[1, 4, "env"])
 def text(nvrtc: Path, request: pytest.FixtureRequest) -> str:
-    """PTX of the text of the device, with as many threads for a robot."""
+    """PTX of the physics with as many threads for a robot, and of the envs around it."""
+    if request.param == "env":
+        return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *ptx.ENV_FLAGS), program="env.cu")
     return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, f"-DLANES={request.param}"))
 
 
@@ -47,7 +49,7 @@ def test_the_text_rounds_every_operation_to_nearest(text: str) -> None:
     found = ptx.operations(text)
     for operation in ("add", "sub", "mul", "div", "fma", "sqrt"):
         assert found.get(f"{operation}.rn.f32", 0) > 0, operation
-    assert ".entry polypod_control_step" in text
+    assert ".entry polypod_control_step" in text or ".entry polypod_env_step" in text
 
 
 def test_drivers_since_cuda_11_take_the_text(nvrtc: Path, text: str) -> None:

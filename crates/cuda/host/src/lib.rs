@@ -11,16 +11,19 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::{env, fs, io};
 
 use libloading::Library;
-use polypod_cuda::{Block, DEVICE_TEXT, Device, DeviceBlock, DeviceError, Exchange, Parts, Shape, Tables};
+use polypod_cuda::{
+    Block, DEVICE_TEXT, Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, EnvParts, Exchange, Parts, Shape, Tables,
+    TaskTables,
+};
 
-/// `Block` of `device/step.cu`.
+/// `Block` of `device/block.h`.
 #[repr(C)]
 struct Arguments {
     integers: *const c_int,
     numbers: *const f32,
     parameters: *const f32,
     common: *const f32,
-    drive: *const f32,
+    drive: *mut f32,
     state: *mut f32,
     report: *mut f32,
     host: *mut f32,
@@ -38,10 +41,34 @@ struct Arguments {
     number: c_int,
 }
 
+/// `EnvBlock` of `device/env.cu`.
+#[repr(C)]
+struct EnvArguments {
+    block: Arguments,
+    task: *const c_int,
+    task_numbers: *const f32,
+    columns: *mut f32,
+    words: *mut u32,
+    actions: *mut f32,
+    observations: *mut f32,
+    finals: *mut f32,
+    kept: *mut f32,
+    host_actions: *const f32,
+    host_observations: *mut f32,
+    host_finals: *mut f32,
+    rewards: *mut f32,
+    commands: *mut f32,
+    flags: *mut u32,
+    ended: *mut u32,
+    ended_size: c_int,
+    warp: c_int,
+}
+
 type Step = unsafe extern "C" fn(*const Arguments);
 
 unsafe extern "C" {
     fn polypod_control_step(block: *const Arguments);
+    fn polypod_env_step(envs: *const EnvArguments, after: c_int);
     #[cfg(target_os = "linux")]
     fn polypod_control_step_by_threads(block: *const Arguments);
 }
@@ -108,24 +135,23 @@ pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
     step_on_host(block, substeps)
 }
 
-fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
-    let whole = |x: usize| c_int::try_from(x);
-    let (Ok(first), Ok(end), Ok(robots), Ok(capacity)) =
-        (whole(substeps.start), whole(substeps.end), whole(block.robots()), whole(block.shape().capacity))
-    else {
-        return false;
-    };
+/// The arguments of some physics steps; `None` where these are none of a control step, or the
+/// robots have no parameters.
+fn arguments(block: &mut Block, substeps: Range<usize>) -> Option<Arguments> {
+    let whole = |x: usize| c_int::try_from(x).ok();
+    let (first, end) = (whole(substeps.start)?, whole(substeps.end)?);
+    let (robots, capacity) = (whole(block.robots())?, whole(block.shape().capacity)?);
     if !block.may_step(&substeps) {
-        return false;
+        return None;
     }
     let Parts { integers, numbers, parameters, common, drive, state, report, grid, work, work_integers, own, .. } =
         block.parts();
-    let arguments = Arguments {
+    Some(Arguments {
         integers: integers.as_ptr(),
         numbers: numbers.as_ptr(),
         parameters: parameters.as_ptr(),
         common: common.as_ptr(),
-        drive: drive.as_ptr(),
+        drive: drive.as_mut_ptr(),
         state: state.as_mut_ptr(),
         report: report.as_mut_ptr(),
         host: std::ptr::null_mut(),
@@ -141,11 +167,70 @@ fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
         end,
         warp: 0,
         number: 0,
-    };
+    })
+}
+
+fn step_with(step: Step, block: &mut Block, substeps: Range<usize>) -> bool {
+    let Some(arguments) = arguments(block, substeps) else { return false };
     // SAFETY: the arrays have the sizes of the tables' columns, which bound every index of the
     // text; it keeps no pointer
     unsafe { step(&raw const arguments) };
     true
+}
+
+/// Envs of a block in the memory of the host.
+struct Envs {
+    task: TaskTables,
+    numbers: Vec<f32>,
+    words: Vec<u32>,
+    /// Rows of robots that are watched; empty if none is.
+    kept: Vec<f32>,
+}
+
+impl Envs {
+    fn new(task: TaskTables, robots: usize) -> Self {
+        let [numbers, words] = task.parts(robots).of_host();
+        Self { task, numbers: vec![0.0; numbers], words: vec![0; words], kept: Vec::new() }
+    }
+
+    /// Makes a whole control step.
+    fn step(&mut self, block: &mut Block) -> bool {
+        let (robots, steps) = (block.robots(), 0..block.shape().decimation());
+        let Some(of_block) = arguments(block, steps) else { return false };
+        let Self { task, numbers, words, kept } = self;
+        let EnvParts { numbers: at, words: words_at } = task.parts(robots);
+        let mut place = |part: usize| numbers[at[part].clone()].as_mut_ptr();
+        let mut word = |part: usize| words[words_at[part].clone()].as_mut_ptr();
+        let (columns, actions, observations, finals) = (place(0), place(1), place(2), place(3));
+        let arguments = EnvArguments {
+            block: of_block,
+            task: task.integers.as_ptr(),
+            task_numbers: task.numbers.as_ptr(),
+            columns,
+            words: word(0),
+            actions,
+            observations,
+            finals,
+            kept: if kept.is_empty() { std::ptr::null_mut() } else { kept.as_mut_ptr() },
+            host_actions: actions,
+            host_observations: observations,
+            host_finals: finals,
+            rewards: place(4),
+            commands: place(5),
+            flags: word(1),
+            ended: word(2),
+            ended_size: task.widths[2] as c_int,
+            warp: 0,
+        };
+        // SAFETY: the arrays have the sizes of the tables' lists and columns, which bound every
+        // index of the text; it keeps no pointer
+        unsafe {
+            polypod_env_step(&raw const arguments, 0);
+            polypod_control_step(&raw const arguments.block);
+            polypod_env_step(&raw const arguments, 1);
+        }
+        true
+    }
 }
 
 /// The host as a device: the engine's path without a GPU.
@@ -157,11 +242,11 @@ impl Device for Host {
     }
 
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
-        Ok(Box::new(HostBlock(Block::of_shape(shape))))
+        Ok(Box::new(HostBlock(Block::of_shape(shape), None)))
     }
 }
 
-struct HostBlock(Block);
+struct HostBlock(Block, Option<Envs>);
 
 impl DeviceBlock for HostBlock {
     fn shape(&self) -> &Shape {
@@ -192,5 +277,49 @@ impl DeviceBlock for HostBlock {
     fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError> {
         let (robots, exchange) = (self.0.robots(), self.0.exchange());
         Ok((0..robots).map(|robot| exchange.num_impulses(robot)).max())
+    }
+
+    fn envs(&mut self) -> Option<&mut dyn EnvBlock> {
+        Some(self)
+    }
+}
+
+impl EnvBlock for HostBlock {
+    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError> {
+        self.1 = Some(Envs::new(task, self.0.robots()));
+        Ok(())
+    }
+
+    fn host(&mut self) -> Option<EnvHost<'_>> {
+        let Envs { task, numbers, words, .. } = self.1.as_mut()?;
+        Some(EnvHost::new(task, self.0.robots(), numbers, words))
+    }
+
+    fn watch(&mut self, watched: bool) -> Result<(), DeviceError> {
+        let size = self.0.shape().kept() * self.0.robots();
+        if let Some(envs) = &mut self.1 {
+            envs.kept.resize(if watched { size } else { 0 }, 0.0);
+        }
+        Ok(())
+    }
+
+    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError> {
+        let size = self.0.shape().kept();
+        let rows = self.1.as_ref().and_then(|envs| envs.kept.get(robot * size..(robot + 1) * size));
+        Ok(rows.map_or_else(|| vec![0.0; size], <[f32]>::to_vec))
+    }
+
+    fn upload(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn download(&mut self) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        let Self(block, envs) = self;
+        let made = envs.as_mut().is_some_and(|envs| envs.step(block));
+        if made { Ok(()) } else { Err(DeviceError::Call { call: "polypod_env_step", text: "no parameters".into() }) }
     }
 }

@@ -1,0 +1,794 @@
+/* A control step of an env around its physics, in the order of systems/ of polypod: one thread per env, the
+ * same random numbers, the same order of operations. */
+#ifndef POLYPOD_ENV_H
+#define POLYPOD_ENV_H
+#include "step.h"
+
+typedef unsigned long long Wide;
+
+/* An env: its robot, its tables and its columns. */
+typedef struct {
+    Robot *a;
+    const int *k;
+    const float *f;
+    float *x;
+    unsigned *u;
+    size_t envs; /* numbers between two columns */
+    float *drive;
+    const float *action;
+    float *observation, *final;
+    float *kept; /* rows of drive, state and report before the physics and after it; null unless watched */
+    int row;     /* numbers of the state's row */
+    Wide random, increment;
+    unsigned flags;
+    /* what sensors read */
+    float linear[3], angular[3], gravity[3];
+    float total; /* reward of the step */
+} Env;
+
+#define K(n) READ(v->k + (n))
+#define F(n) READ(v->f + (n))
+#define X(n) (v->x[(size_t)(n) * v->envs])
+#define U(n) (v->u[(size_t)(n) * v->envs])
+/* numbers of the rows of state, drive and report */
+#define STATE(name, i) (a->row[T(name) + (i)])
+#define DRIVE(name, i) (v->drive[T(name) + (i)])
+#define REPORT(name, i) (a->r[T(name) + (i)])
+#define HAS(bit) ((v->flags & (bit)) != 0)
+#define TIME(which, foot) X(K(X_TIME) + (which) * K(K_FEET) + (foot))
+
+/* rand_pcg's Pcg32 */
+FN unsigned next_random(Env *v) {
+    Wide s = v->random;
+    v->random = s * 6364136223846793005ull + v->increment;
+    unsigned turn = (unsigned)(s >> 59), x = (unsigned)(((s >> 18) ^ s) >> 27);
+    return x >> turn | x << ((32u - turn) & 31u);
+}
+FN float unit(Env *v) { return (float)(next_random(v) >> 8) * (1.0f / 16777216.0f); }
+FN float between(Env *v, float low, float high) { return fma_(high - low, unit(v), low); }
+/* between two neighbouring numbers of the task's table */
+FN float uniform(Env *v, int at) { return between(v, F(at), F(at + 1)); }
+FN float steps_between(Env *v, unsigned low, unsigned high) {
+    Wide span = (Wide)(high - low) + 1;
+    return (float)(low + (unsigned)((next_random(v) * span) >> 32));
+}
+
+FN int is_finite(float x) { return fabsf(x) <= 3.40282347e38f; }
+FN float limited(float x, float low, float high) {
+    if (x < low) x = low;
+    if (x > high) x = high;
+    return x;
+}
+FN float larger(float x, float other) { return x > other || other != other ? x : other; }
+FN float smaller(float x, float other) { return x < other || other != other ? x : other; }
+FN float squares(const float *x, int n) {
+    float sum = 0.0f;
+    for (int i = 0; i < n; i++) sum = fma_(x[i], x[i], sum);
+    return sum;
+}
+FN float norm(const float *x, int n) { return sqrtf(squares(x, n)); }
+FN float length(float x, float y) { return sqrtf(x * x + y * y); }
+
+/* act.rs */
+FN void act(Env *v) {
+    const Robot *a = v->a;
+    int slots = K(K_SLOTS), joints = T(JOINTS), ages = T(AGES);
+    ROLLED for (int j = 0; j < joints; j++) {
+        float oldest = DRIVE(D_TARGET, (ages - 1) * joints + j);
+        ROLLED for (int age = ages - 1; age > 0; age--)
+            DRIVE(D_TARGET, age * joints + j) = DRIVE(D_TARGET, (age - 1) * joints + j);
+        DRIVE(D_TARGET, j) = oldest;
+    }
+    ROLLED for (int i = 0; i < slots; i++) {
+        int slot = K(K_SLOT) + i * SLOT_SIZE, joint = K(slot);
+        float action = v->action[K(slot + 1)];
+        X(K(X_PREVIOUS) + i) = X(K(X_ACTION) + i);
+        X(K(X_ACTION) + i) = action;
+        DRIVE(D_TARGET, joint) = fma_(X(K(X_SCALE)), F(K(slot + 2)) * action, X(K(X_DEFAULT) + joint));
+    }
+    if (HAS(FRESH_TARGETS)) {
+        ROLLED for (int i = joints; i < ages * joints; i++) DRIVE(D_TARGET, i) = DRIVE(D_TARGET, i % joints);
+        v->flags &= ~(unsigned)FRESH_TARGETS;
+    }
+}
+
+/* command/velocity.rs */
+FN float heading(const float *q) {
+    return atan2_(2.0f * (q[1] * q[2] + q[0] * q[3]), 1.0f - 2.0f * (q[2] * q[2] + q[3] * q[3]));
+}
+FN void draw_command(Env *v) {
+    int command = K(X_COMMAND);
+    for (int d = 0; d < 3; d++) X(command + d) = uniform(v, F_RANGE + 2 * d);
+    X(command + COMMAND_HEADING) = uniform(v, F_HEADING);
+    v->flags &= ~(unsigned)(HOLDS_HEADING | STANDING);
+    if (unit(v) < F(F_HEADING_SHARE) && K(K_HEADING_COMMAND)) v->flags |= HOLDS_HEADING;
+    if (unit(v) < F(F_STANDING_SHARE)) v->flags |= STANDING;
+    float turning = F(F_TURNING_SHARE), sideways = F(F_SIDEWAYS_SHARE);
+    if (turning + sideways > 0.0f) {
+        float drawn = unit(v);
+        if (drawn < turning) {
+            X(command) = X(command + 1) = 0.0f;
+            v->flags &= ~(unsigned)HOLDS_HEADING;
+        } else if (drawn < turning + sideways) {
+            X(command) = X(command + 2) = 0.0f;
+            v->flags &= ~(unsigned)HOLDS_HEADING;
+        }
+    }
+    X(command + COMMAND_LEFT) = F(F_RESAMPLING);
+}
+FN void steer(Env *v, const float *rotation) {
+    int command = K(X_COMMAND);
+    if (HAS(HOLDS_HEADING)) {
+        const float turn = (float)6.28318530717958647692;
+        float error = X(command + COMMAND_HEADING) - heading(rotation);
+        error = error - turn * rintf(error / turn);
+        X(command + 2) = limited(F(F_STIFFNESS) * error, F(F_RANGE + 4), F(F_RANGE + 5));
+    }
+    if (HAS(STANDING))
+        for (int d = 0; d < 3; d++) X(command + d) = 0.0f;
+}
+FN void update_command(Env *v) {
+    const Robot *a = v->a;
+    if (!K(K_HAS_COMMAND) || HAS(PINNED)) return;
+    int left = K(X_COMMAND) + COMMAND_LEFT;
+    X(left) = X(left) - F(F_STEP);
+    /* half a step of tolerance: the sum of steps is not exact */
+    if (X(left) <= -0.5f * F(F_STEP)) draw_command(v);
+    steer(v, &STATE(S_ROTATION, 0));
+}
+
+/* disturb.rs */
+FN void draw_wrench(Env *v, int at) {
+    const Robot *a = v->a;
+    for (int d = 0; d < 3; d++) DRIVE(D_FORCE, d) = uniform(v, at);
+    for (int d = 0; d < 3; d++) DRIVE(D_TORQUE, d) = uniform(v, at + 2);
+}
+FN void disturb(Env *v) {
+    const Robot *a = v->a;
+    ROLLED for (int i = 0; i < K(K_NUM_INTERVALS); i++) {
+        int form = K(K_INTERVAL) + i * FORM_SIZE, at = K(form + FORM_NUMBERS), timer = K(X_TIMER) + i;
+        X(timer) = X(timer) - F(F_STEP);
+        if (!(X(timer) <= 0.0f)) continue;
+        X(timer) = uniform(v, at);
+        if (K(form) == INTERVAL_PUSH_ROBOT)
+            for (int d = 0; d < 2; d++) STATE(S_LINEAR, d) = STATE(S_LINEAR, d) + uniform(v, at + 2);
+        else
+            draw_wrench(v, at + 2);
+    }
+}
+
+/* sense/imu.rs */
+FN void read_imu(Env *v) {
+    const Robot *a = v->a;
+    float r[9], com[3], t[3];
+    quat_to_mat(&STATE(S_ROTATION, 0), r);
+    copy(v->angular, &STATE(S_ANGULAR, 0), 3);
+    p_load(a, P_COM, 0, 3, com);
+    mul_vec_transposed(r, &STATE(S_LINEAR, 0), v->linear);
+    cross(v->angular, com, t);
+    add(v->linear, t, v->linear);
+    float x = F(F_DOWN), y = F(F_DOWN + 1), z = F(F_DOWN + 2);
+    for (int k = 0; k < 3; k++) {
+        float down = r[6 + k] * z;
+        /* sums with zeros would change the signs of zeros */
+        if (x != 0.0f || y != 0.0f) down = fma_(r[k], x, fma_(r[3 + k], y, down));
+        v->gravity[k] = down;
+    }
+}
+/* sense/contact.rs */
+FN float peak_force(const Env *v, int body) {
+    const Robot *a = v->a;
+    int steps = T(DECIMATION);
+    float peak = 0.0f;
+    ROLLED for (int step = steps > 3 ? steps - 3 : 0; step < steps; step++) {
+        float force = REPORT(R_NORMAL_FORCE, step * T(BODIES) + body);
+        peak = force > peak ? force : peak;
+    }
+    return peak;
+}
+FN void count_times(Env *v) {
+    const Robot *a = v->a;
+    float dt = F(F_DT);
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        int body = K(K_FOOT) + foot;
+        float contact = TIME(0, foot), air = TIME(1, foot), last_contact = TIME(2, foot), last_air = TIME(3, foot);
+        body = K(body);
+        ROLLED for (int step = 0; step < T(DECIMATION); step++) {
+            int stands = REPORT(R_NORMAL_FORCE, step * T(BODIES) + body) > 1.0f;
+            float longer_contact = contact + dt, longer_air = air + dt;
+            last_air = stands && air > 0.0f ? longer_air : last_air;
+            last_contact = !stands && contact > 0.0f ? longer_contact : last_contact;
+            contact = stands ? longer_contact : 0.0f;
+            air = stands ? 0.0f : longer_air;
+        }
+        TIME(0, foot) = contact;
+        TIME(1, foot) = air;
+        TIME(2, foot) = last_contact;
+        TIME(3, foot) = last_air;
+    }
+}
+FN float default_height(const Env *v) { return X(K(X_SPAWN)) - F(F_MARGIN); }
+
+/* terminate.rs */
+FN int within(const float *x, int n, float limit) {
+    int all = 1;
+    ROLLED for (int i = 0; i < n; i++) all &= fabsf(x[i]) <= limit;
+    return all;
+}
+FN int is_allowed(const Env *v) {
+    const Robot *a = v->a;
+    int joints = T(JOINTS);
+    return within(&STATE(S_POSITION, 0), 3, F(F_LIMIT)) & within(&STATE(S_ROTATION, 0), 4, F(F_LIMIT + 1)) &
+           within(&STATE(S_LINEAR, 0), 3, F(F_LIMIT + 2)) & within(&STATE(S_ANGULAR, 0), 3, F(F_LIMIT + 3)) &
+           within(&STATE(S_JOINT, 0), joints, F(F_LIMIT + 4)) &
+           within(&STATE(S_JOINT_VELOCITY, 0), joints, F(F_LIMIT + 5)) &
+           within(&REPORT(R_EFFORT, 0), joints, F(F_LIMIT + 6));
+}
+FN int is_of_groups(const Env *v, int form, int body) {
+    int group = K(K_GROUP + 0);
+    group = K(group + body);
+    ROLLED for (int i = 0; i < K(form + FORM_COUNT); i++)
+        if (K(K(form + FORM_INTEGERS) + i) == group) return 1;
+    return 0;
+}
+/* contact bodies of the form's groups whose force is above its first number */
+FN int count_contacts(const Env *v, int form) {
+    const Robot *a = v->a;
+    int count = 0;
+    ROLLED for (int body = 0; body < T(BODIES); body++)
+        count += is_of_groups(v, form, body) && peak_force(v, body) > F(K(form + FORM_NUMBERS));
+    return count;
+}
+FN float base_height(const Env *v) {
+    const Robot *a = v->a;
+    return STATE(S_POSITION, 2) - F(F_HEIGHT);
+}
+FN int ends(const Env *v, int form) {
+    int at = K(form + FORM_NUMBERS);
+    const float *g = v->gravity;
+    float least;
+    switch (K(form)) {
+    case END_TIME_OUT: return U(U_LENGTH) >= (unsigned)K(K_LONGEST);
+    case END_BASE_CONTACT:
+    case END_ILLEGAL_CONTACT: return count_contacts(v, form) > 0;
+    case END_BAD_ORIENTATION: return -g[2] < F(at) && (g[0] != 0.0f || g[1] != 0.0f || g[2] != 0.0f);
+    default: {
+        float height = default_height(v), share = F(at + 2), hips = height + F(at + 3);
+        least = height >= 0.5f * hips ? share * height : height - (1.0f - share) * hips;
+        if (F(at) > 0.0f) least = F(at + 1);
+        return base_height(v) < least;
+    }
+    }
+}
+FN void terminate(Env *v) {
+    v->flags &= ~(unsigned)FRESH;
+    if (K(K_AUTORESET) == AT_NEXT_STEP && HAS(NEEDS_RESET)) {
+        v->flags &= ~(unsigned)(TERMINATED | TRUNCATED);
+        return;
+    }
+    U(U_LENGTH) = U(U_LENGTH) + 1;
+    U(U_LIVED) = U(U_LIVED) + 1;
+    unsigned causes = !is_allowed(v);
+    v->flags &= ~(unsigned)(TERMINATED | TRUNCATED | INVALID | NEEDS_RESET);
+    if (causes) v->flags |= INVALID | TERMINATED;
+    ROLLED for (int i = 0; i < K(K_NUM_ENDS); i++) {
+        int form = K(K_END) + i * FORM_SIZE;
+        if (!ends(v, form)) continue;
+        causes |= 1u << (i + 1);
+        v->flags |= K(form + FORM_MORE) ? TRUNCATED : TERMINATED;
+    }
+    U(U_CAUSES) = causes;
+    /* an episode that fails in its last step has failed */
+    if (HAS(TERMINATED)) v->flags &= ~(unsigned)TRUNCATED;
+    if (HAS(TERMINATED | TRUNCATED)) v->flags |= NEEDS_RESET;
+}
+
+/* reward/ */
+FN void velocity_error(const Env *v, float *o) {
+    for (int d = 0; d < 2; d++) o[d] = X(K(X_COMMAND) + d) - v->linear[d];
+}
+FN float command_norm(const Env *v, int n) {
+    float sum = 0.0f;
+    for (int d = 0; d < n; d++) sum = fma_(X(K(X_COMMAND) + d), X(K(X_COMMAND) + d), sum);
+    return sqrtf(sum);
+}
+FN int is_moving(const Env *v, float threshold) {
+    return command_norm(v, 3) > 0.0f || norm(v->linear, 2) > threshold;
+}
+FN int is_told_to_stand(const Env *v, float turning) {
+    return command_norm(v, 2) <= 0.1f && !(turning > 0.0f && fabsf(X(K(X_COMMAND) + 2)) > 0.1f);
+}
+/* a contact time within the control step, give or take rounding */
+FN int has_landed(const Env *v, int foot) {
+    return TIME(0, foot) > 0.0f && TIME(0, foot) < F(F_STEP) + 1e-5f;
+}
+FN int stands_with(const Env *v, int foot, float threshold) {
+    int body = K(K_FOOT) + foot;
+    return peak_force(v, K(body)) > threshold;
+}
+FN float action_change(const Env *v) {
+    float sum = 0.0f;
+    ROLLED for (int i = 0; i < K(K_SLOTS); i++) {
+        float change = X(K(X_ACTION) + i) - X(K(X_PREVIOUS) + i);
+        sum = fma_(change, change, sum);
+    }
+    return sum;
+}
+/* the joint at a place of the form's list; a list that is -1 names all, in order */
+FN int count_joints(const Env *v, int form) {
+    const Robot *a = v->a;
+    return K(form + FORM_COUNT) < 0 ? T(JOINTS) : K(form + FORM_COUNT);
+}
+FN int joint_of(const Env *v, int form, int i) {
+    return K(form + FORM_COUNT) < 0 ? i : K(K(form + FORM_INTEGERS) + i);
+}
+/* sum of the squares of the form's joints, times its first number */
+FN float joint_squares(const Env *v, int form, const float *x) {
+    float sum = 0.0f;
+    ROLLED for (int i = 0; i < count_joints(v, form); i++) {
+        float y = x[joint_of(v, form, i)];
+        sum = fma_(y, y, sum);
+    }
+    return F(K(form + FORM_NUMBERS)) * sum;
+}
+FN float joint_deviation(const Env *v, int form, float factor) {
+    const Robot *a = v->a;
+    float sum = -0.0f;
+    ROLLED for (int i = 0; i < count_joints(v, form); i++) {
+        int j = joint_of(v, form, i);
+        sum += fabsf(STATE(S_JOINT, j) - X(K(X_DEFAULT) + j));
+    }
+    return factor * sum;
+}
+FN float joint_limits(const Env *v, int form) {
+    const Robot *a = v->a;
+    float sum = -0.0f;
+    ROLLED for (int i = 0; i < count_joints(v, form); i++) {
+        int j = joint_of(v, form, i);
+        float q = STATE(S_JOINT, j), lower = P(P_LOWER, j), upper = P(P_UPPER, j), range = upper - lower;
+        float margin = is_finite(range) ? 0.5f * (1.0f - F(F_SOFT)) * range : 0.0f;
+        sum += larger(larger(lower + margin - q, q - upper + margin), 0.0f);
+    }
+    return F(K(form + FORM_NUMBERS)) * sum;
+}
+FN float foot_speed(const Env *v, int foot) {
+    const Robot *a = v->a;
+    return norm(&REPORT(R_SITE_VELOCITY, 3 * foot), 2);
+}
+FN float speed_of_standing(const Env *v, float threshold) {
+    float sum = -0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++)
+        if (stands_with(v, foot, threshold)) sum += foot_speed(v, foot);
+    return sum;
+}
+FN float feet_air_time(const Env *v, float threshold, float turning) {
+    float sum = -0.0f;
+    if (is_told_to_stand(v, turning)) return 0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++)
+        if (has_landed(v, foot)) sum += TIME(3, foot) - threshold;
+    return sum;
+}
+FN float air_time(const Env *v, float mode, float threshold) {
+    int moving = is_moving(v, threshold);
+    float sum = -0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        float air = TIME(1, foot), contact = TIME(0, foot), phase = larger(air, contact);
+        sum += moving ? (phase < mode ? phase : 0.0f) : limited(contact - air, -mode, mode);
+    }
+    return sum;
+}
+FN float variance_of_times(const Env *v, int which, float most) {
+    int feet = K(K_FEET);
+    float sum = -0.0f, of_squares = -0.0f, n = (float)feet;
+    ROLLED for (int foot = 0; foot < feet; foot++) sum += smaller(TIME(which, foot), most);
+    float mean = sum / n;
+    ROLLED for (int foot = 0; foot < feet; foot++) {
+        float d = smaller(TIME(which, foot), most) - mean;
+        of_squares += d * d;
+    }
+    return of_squares / larger(n - 1.0f, 1.0f);
+}
+FN float foot_clearance(const Env *v, int at) {
+    const Robot *a = v->a;
+    float error = -0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        float height = REPORT(R_SITE_POSITION, 3 * foot + 2) - F(F_HEIGHT) - F(at + 2);
+        error += height * height * tanh_positive(F(at + 1) * foot_speed(v, foot));
+    }
+    return exp_(-error / F(at));
+}
+FN float within_square(float d, float most) { return smaller(d * d, most); }
+FN float sync_error(const Env *v, int i, int j, float most) {
+    return within_square(TIME(1, i) - TIME(1, j), most) + within_square(TIME(0, i) - TIME(0, j), most);
+}
+FN float async_error(const Env *v, int i, int j, float most) {
+    return within_square(TIME(1, i) - TIME(0, j), most) + within_square(TIME(0, i) - TIME(1, j), most);
+}
+FN float gait(const Env *v, int at) {
+    if (K(K_FEET) != 4 || !is_moving(v, F(at + 2))) return 0.0f;
+    float most = F(at + 1) * F(at + 1);
+    float error = sync_error(v, 0, 3, most) + sync_error(v, 2, 1, most) + async_error(v, 0, 2, most) +
+                  async_error(v, 0, 1, most) + async_error(v, 3, 2, most) + async_error(v, 3, 1, most);
+    return exp_(-error / F(at));
+}
+FN float single_stance(const Env *v, float threshold, float turning) {
+    int standing = 0;
+    float least = threshold;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) standing += TIME(0, foot) > 0.0f;
+    if (standing != 1 || is_told_to_stand(v, turning)) return 0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++)
+        least = smaller(least, TIME(0, foot) > 0.0f ? TIME(0, foot) : TIME(1, foot));
+    return least;
+}
+FN float gait_symmetry(const Env *v) {
+    if (command_norm(v, 3) <= 0.1f) return 0.0f;
+    int pairs = K(K_FEET) / 2;
+    float uneven = -0.0f;
+    ROLLED for (int left = 0; left < pairs; left++) {
+        int right = left + pairs;
+        if (!has_landed(v, left) && !has_landed(v, right)) continue;
+        float x = TIME(3, left), y = TIME(3, right);
+        if (x > 0.0f && y > 0.0f) uneven += fabsf(x - y);
+    }
+    float turn = X(K(X_COMMAND) + 2) / 0.25f;
+    return uneven * exp_(-0.5f * turn * turn);
+}
+FN float mean_square(const float *x, int n) { return squares(x, n) / (float)(n > 1 ? n : 1); }
+FN float joint_distance(const Env *v) {
+    const Robot *a = v->a;
+    float sum = 0.0f;
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        float d = STATE(S_JOINT, j) - X(K(X_DEFAULT) + j);
+        sum = fma_(d, d, sum);
+    }
+    return sqrtf(sum);
+}
+FN float reward_of(const Env *v, int form) {
+    const Robot *a = v->a;
+    int at = K(form + FORM_NUMBERS), joints = T(JOINTS);
+    const float *linear = v->linear, *angular = v->angular;
+    float error[2], yaw_error = X(K(X_COMMAND) + 2) - angular[2];
+    velocity_error(v, error);
+    switch (K(form)) {
+    case REWARD_TRACK_LIN_VEL_XY_EXP: return exp_(-squares(error, 2) / (F(at) * F(at)));
+    case REWARD_TRACK_ANG_VEL_Z_EXP: return exp_(-yaw_error * yaw_error / (F(at) * F(at)));
+    case REWARD_LIN_VEL_Z_L2: return linear[2] * linear[2];
+    case REWARD_ANG_VEL_XY_L2: return squares(angular, 2);
+    case REWARD_FLAT_ORIENTATION_L2: return squares(v->gravity, 2);
+    case REWARD_BASE_ANGULAR_VELOCITY: return exp_(-fabsf(yaw_error) / F(at));
+    case REWARD_BASE_LINEAR_VELOCITY: {
+        float ramp = larger(1.0f + F(at + 2) * (command_norm(v, 2) - F(at + 1)), 1.0f);
+        return exp_(-norm(error, 2) / F(at)) * ramp;
+    }
+    case REWARD_BASE_HEIGHT_L2: {
+        float high = base_height(v) - F(at);
+        return high * high;
+    }
+    case REWARD_BASE_MOTION:
+        return 0.8f * linear[2] * linear[2] + 0.2f * (fabsf(angular[0]) + fabsf(angular[1]));
+    case REWARD_BASE_ORIENTATION: return norm(v->gravity, 2);
+    case REWARD_JOINT_ACC: return norm(&REPORT(R_ACCELERATION, 0), joints);
+    case REWARD_JOINT_POS: {
+        float distance = joint_distance(v);
+        return is_moving(v, F(at + 1)) ? distance : F(at) * distance;
+    }
+    case REWARD_JOINT_TORQUES: return norm(&REPORT(R_EFFORT, 0), joints);
+    case REWARD_IS_ALIVE: return HAS(TERMINATED) ? 0.0f : 1.0f;
+    case REWARD_IS_TERMINATED: return HAS(TERMINATED) ? 1.0f : 0.0f;
+    case REWARD_JOINT_VEL: return norm(&STATE(S_JOINT_VELOCITY, 0), joints);
+    case REWARD_DOF_TORQUES_L2: return joint_squares(v, form, &REPORT(R_EFFORT, 0));
+    case REWARD_DOF_ACC_L2: return joint_squares(v, form, &REPORT(R_ACCELERATION, 0));
+    case REWARD_JOINT_VEL_L2: return joint_squares(v, form, &STATE(S_JOINT_VELOCITY, 0));
+    case REWARD_JOINT_DEVIATION_L1: return joint_deviation(v, form, F(at));
+    case REWARD_JOINT_POS_LIMITS: return joint_limits(v, form);
+    case REWARD_STAND_STILL_JOINT_DEVIATION_L1:
+        return command_norm(v, 2) < F(at + 1) ? joint_deviation(v, form, F(at)) : 0.0f;
+    case REWARD_ACTION_RATE_L2: return F(at) * action_change(v);
+    case REWARD_ACTION_SMOOTHNESS: return sqrtf(action_change(v));
+    case REWARD_FEET_AIR_TIME: return feet_air_time(v, F(at), F(at + 1));
+    case REWARD_UNDESIRED_CONTACTS: return (float)count_contacts(v, form);
+    case REWARD_AIR_TIME: return air_time(v, F(at), F(at + 1));
+    case REWARD_AIR_TIME_VARIANCE: return variance_of_times(v, 3, F(at)) + variance_of_times(v, 2, F(at));
+    case REWARD_FOOT_CLEARANCE: return foot_clearance(v, at);
+    case REWARD_FOOT_SLIP:
+    case REWARD_FEET_SLIDE: return speed_of_standing(v, F(at));
+    case REWARD_GAIT: return gait(v, at);
+    case REWARD_FEET_AIR_TIME_POSITIVE_BIPED: return single_stance(v, F(at), F(at + 1));
+    case REWARD_DESIRED_CONTACTS: {
+        int stands = 0;
+        ROLLED for (int foot = 0; foot < K(K_FEET); foot++) stands |= stands_with(v, foot, F(at));
+        return stands ? 0.0f : 1.0f;
+    }
+    case REWARD_GAIT_SYMMETRY: return gait_symmetry(v);
+    case REWARD_SCALED_TORQUES_L2: {
+        float load = X(K(X_MASS)) * F(F_FREE_FALL) * default_height(v);
+        return load > 0.0f ? mean_square(&REPORT(R_EFFORT, 0), joints) / (load * load) : 0.0f;
+    }
+    default: {
+        float fall = F(F_FREE_FALL), unit = fall > 0.0f ? default_height(v) / fall : 0.0f;
+        return mean_square(&REPORT(R_ACCELERATION, 0), joints) * (unit * unit);
+    }
+    }
+}
+/* logs.rs: the tracking errors of the step */
+FN void add_errors(Env *v) {
+    int total = K(X_TOTAL), command = K(X_COMMAND);
+    float x = X(command), y = X(command + 1), yaw = X(command + 2);
+    X(total + 1) = X(total + 1) + length(x - v->linear[0], y - v->linear[1]);
+    X(total + 2) = X(total + 2) + fabsf(yaw - v->angular[2]);
+    X(total + 3) = X(total + 3) + length(x, y);
+    X(total + 4) = X(total + 4) + fabsf(yaw);
+    X(total + 5) = X(total + 5) + length(v->linear[0], v->linear[1]);
+    U(U_STEPS) = U(U_STEPS) + 1;
+}
+FN void reward(Env *v) {
+    int resetting = K(K_AUTORESET) == AT_NEXT_STEP && HAS(NEEDS_RESET) && !HAS(TERMINATED | TRUNCATED);
+    v->total = 0.0f;
+    if (HAS(INVALID) || resetting) return;
+    add_errors(v);
+    float total = 0.0f;
+    ROLLED for (int i = 0; i < K(K_NUM_REWARDS); i++) {
+        int form = K(K_REWARD) + i * FORM_SIZE, sum = K(X_SUM) + i;
+        float value = F(K(form + FORM_MORE)) * reward_of(v, form) * F(F_STEP);
+        X(sum) = X(sum) + value;
+        total += value;
+    }
+    X(K(X_TOTAL)) = X(K(X_TOTAL)) + total;
+    v->total = total;
+}
+
+/* observe.rs */
+FN float observed(const Env *v, int term, int i) {
+    const Robot *a = v->a;
+    int slot = K(K_SLOT) + i * SLOT_SIZE, joint;
+    switch (K(term)) {
+    case OBSERVATION_BASE_LIN_VEL: return v->linear[i];
+    case OBSERVATION_BASE_ANG_VEL: return v->angular[i];
+    case OBSERVATION_PROJECTED_GRAVITY: return v->gravity[i];
+    case OBSERVATION_VELOCITY_COMMANDS: return X(K(X_COMMAND) + i);
+    case OBSERVATION_LAST_ACTION: return X(K(X_ACTION) + i);
+    default: break;
+    }
+    joint = K(slot);
+    float number = K(term) == OBSERVATION_JOINT_POS_REL ? STATE(S_JOINT, joint) - X(K(X_DEFAULT) + joint)
+                                                        : STATE(S_JOINT_VELOCITY, joint);
+    return F(K(slot + 2)) * number;
+}
+FN void observe(Env *v, float *row) {
+    if (HAS(INVALID)) {
+        ROLLED for (int i = 0; i < K(K_OBSERVED); i++) row[i] = 0.0f;
+        return;
+    }
+    ROLLED for (int t = 0; t < K(K_NUM_TERMS); t++) {
+        int term = K(K_TERM) + t * FORM_SIZE, at = K(term + FORM_NUMBERS), size = K(term + FORM_MORE + 1);
+        int memory = K(term + FORM_MORE + 2), per_joint = K(term) >= OBSERVATION_JOINT_POS_REL;
+        int own = per_joint ? K(K_SLOTS) : size;
+        float *to = row + K(term + FORM_MORE), noise = F(at), low = F(at + 1), high = F(at + 2), scale = F(at + 3);
+        ROLLED for (int i = 0; i < size * (memory - 1); i++) to[i] = to[i + size];
+        float *newest = to + size * (memory - 1);
+        if (own != size && HAS(FRESH)) ROLLED for (int i = 0; i < size; i++) newest[i] = 0.0f;
+        ROLLED for (int i = 0; i < own; i++) {
+            int column = per_joint ? K(K_SLOT) + i * SLOT_SIZE + 1 : 0;
+            float number = observed(v, term, i);
+            if (noise > 0.0f) number += between(v, -noise, noise);
+            if (low <= high) number = smaller(larger(number, low), high);
+            if (scale != 1.0f) number *= scale;
+            newest[per_joint ? K(column) : i] = number;
+        }
+        if (HAS(FRESH)) ROLLED for (int i = 0; i < size * (memory - 1); i++) to[i] = newest[i % size];
+    }
+}
+
+/* robot/articulation.rs */
+FN void soft_limits(float lower, float upper, float share, float *o) {
+    o[0] = lower;
+    o[1] = upper;
+    if (!is_finite(lower) || !is_finite(upper)) return;
+    float middle = 0.5f * (lower + upper), half = 0.5f * (upper - lower) * share;
+    o[0] = middle - half;
+    o[1] = middle + half;
+}
+/* reset.rs */
+FN void reset_base(Env *v, int at, int more) {
+    const Robot *a = v->a;
+    float s, c, sr, cr, sp, cp, world[3], r[9];
+    STATE(S_POSITION, 0) = STATE(S_POSITION, 0) + uniform(v, at);
+    STATE(S_POSITION, 1) = STATE(S_POSITION, 1) + uniform(v, at + 2);
+    sin_cos(0.5f * uniform(v, at + 4), &s, &c);
+    STATE(S_ROTATION, 0) = c;
+    STATE(S_ROTATION, 1) = STATE(S_ROTATION, 2) = 0.0f;
+    STATE(S_ROTATION, 3) = s;
+    if (more) {
+        sin_cos(0.5f * uniform(v, at + 6), &sr, &cr);
+        sin_cos(0.5f * uniform(v, at + 8), &sp, &cp);
+        STATE(S_ROTATION, 0) = c * cp * cr + s * sp * sr;
+        STATE(S_ROTATION, 1) = c * cp * sr - s * sp * cr;
+        STATE(S_ROTATION, 2) = c * sp * cr + s * cp * sr;
+        STATE(S_ROTATION, 3) = s * cp * cr - c * sp * sr;
+    }
+    for (int d = 0; d < 3; d++) STATE(S_LINEAR, d) = uniform(v, F_BASE_VELOCITY);
+    for (int d = 0; d < 3; d++) world[d] = uniform(v, F_BASE_VELOCITY);
+    quat_to_mat(&STATE(S_ROTATION, 0), r);
+    mul_vec_transposed(r, world, &STATE(S_ANGULAR, 0));
+}
+FN void reset_joints(Env *v) {
+    const Robot *a = v->a;
+    float soft[2];
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        float drawn = uniform(v, F_JOINT_POSITION), q = STATE(S_JOINT, j);
+        soft_limits(P(P_LOWER, j), P(P_UPPER, j), F(F_SOFT), soft);
+        STATE(S_JOINT, j) = smaller(larger(K(K_SCALES) ? q * drawn : q + drawn, soft[0]), soft[1]);
+    }
+    ROLLED for (int j = 0; j < T(JOINTS); j++) STATE(S_JOINT_VELOCITY, j) = uniform(v, F_JOINT_VELOCITY);
+}
+FN void reset_joints_within_limits(Env *v, int at) {
+    const Robot *a = v->a;
+    float soft[2];
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        float drawn = uniform(v, at);
+        soft_limits(P(P_LOWER, j), P(P_UPPER, j), F(F_SOFT), soft);
+        if (is_finite(soft[1] - soft[0])) STATE(S_JOINT, j) = fma_(soft[1] - soft[0], drawn, soft[0]);
+        STATE(S_JOINT_VELOCITY, j) = 0.0f;
+    }
+}
+FN void draw_delays(Env *v) {
+    const Robot *a = v->a;
+    ROLLED for (int j = 0; j < T(JOINTS); j++) DRIVE(D_DELAY, j) = 0.0f;
+    ROLLED for (int i = 0; i < K(K_NUM_DELAYS); i++) {
+        int group = K(K_DELAY) + i * DELAY_SIZE;
+        float steps = steps_between(v, (unsigned)K(group), (unsigned)K(group + 1));
+        ROLLED for (int j = 0; j < K(group + 2); j++) DRIVE(D_DELAY, K(K(group + 3) + j)) = steps;
+    }
+}
+FN void change_new_state(Env *v, int form) {
+    const Robot *a = v->a;
+    int at = K(form + FORM_NUMBERS), list = K(form + FORM_INTEGERS);
+    switch (K(form)) {
+    case RESET_RESET_BASE: reset_base(v, at, K(list)); return;
+    case RESET_RESET_JOINTS: reset_joints(v); return;
+    case RESET_RESET_JOINTS_WITHIN_LIMITS_RANGE: reset_joints_within_limits(v, at); return;
+    case RESET_BASE_EXTERNAL_FORCE_TORQUE: draw_wrench(v, at); return;
+    default: {
+        float steps = steps_between(v, (unsigned)K(list), (unsigned)K(list + 1));
+        ROLLED for (int j = 0; j < T(JOINTS); j++) DRIVE(D_DELAY, j) = DRIVE(D_DELAY, j) + steps;
+    }
+    }
+}
+/* place.rs: height of the robot's lowest point above the base's origin */
+FN float lowest_point(const Robot *a, const float *up) {
+    float lowest = 3.40282347e38f, r[9], at[3], t[3], own[3];
+    ROLLED for (int contact = 0; contact < T(CONTACTS); contact++) {
+        int list = T(T_CONTACT) + contact * CONTACT_SIZE, link = LINK(L(list));
+        w_load(a, link, 9, r);
+        w_load(a, link + LINK_POSITION, 3, at);
+        p_load(a, P_CONTACT_POSITION, 3 * contact, 3, t);
+        mul_vec(r, t, t);
+        add(at, t, at);
+        float below = P(P_CONTACT_RADIUS, contact);
+        if (L(list + 2)) {
+            const float *e = C(T(C_RIM) + contact * RIM_SIZE);
+            mul_vec_transposed(r, up, own);
+            float c = dot(e, own), s = dot(e + 3, own);
+            below += P(P_CONTACT_RIM, contact) * sqrtf(fma_(c, c, s * s));
+        }
+        lowest = smaller(lowest, dot(up, at) - below);
+    }
+    return lowest;
+}
+FN void place_robot(Env *v) {
+    Robot *a = v->a;
+    float r[9], base[6];
+    ROLLED for (int k = 0; k < T(S_PRESSING); k++) S(k) = a->row[k];
+    quat_to_mat(&STATE(S_ROTATION, 0), r);
+    copy(base, &STATE(S_ANGULAR, 0), 3);
+    mul_vec_transposed(r, &STATE(S_LINEAR, 0), base + 3);
+    forward_kinematics(a, base);
+    float missing = F(F_MARGIN) - (STATE(S_POSITION, 2) + lowest_point(a, r + 6) - F(F_HEIGHT));
+    if (missing > 1e-4f) STATE(S_POSITION, 2) = STATE(S_POSITION, 2) + missing;
+    S(T(S_POSITION) + 2) = STATE(S_POSITION, 2);
+    report_sites(a);
+}
+FN void clear_report(const Robot *a) {
+    ROLLED for (int k = T(R_EFFORT); k < T(R_SITE_POSITION); k++) a->r[k] = 0.0f;
+    ROLLED for (int j = 0; j < T(JOINTS); j++) STATE(S_BOUND, j) = 0.0f;
+    STATE(S_PRESSING, 0) = 0.0f;
+}
+FN void reset(Env *v) {
+    const Robot *a = v->a;
+    STATE(S_POSITION, 0) = STATE(S_POSITION, 1) = 0.0f;
+    STATE(S_POSITION, 2) = X(K(X_SPAWN));
+    STATE(S_ROTATION, 0) = 1.0f;
+    for (int d = 0; d < 3; d++)
+        STATE(S_ROTATION, 1 + d) = STATE(S_LINEAR, d) = STATE(S_ANGULAR, d) = DRIVE(D_FORCE, d) = DRIVE(D_TORQUE, d) =
+            0.0f;
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        STATE(S_JOINT, j) = X(K(X_DEFAULT) + j);
+        STATE(S_JOINT_VELOCITY, j) = 0.0f;
+    }
+    draw_delays(v);
+    ROLLED for (int i = 0; i < K(K_NUM_RESETS); i++) change_new_state(v, K(K_RESET) + i * FORM_SIZE);
+    ROLLED for (int i = 0; i < K(K_SLOTS); i++) X(K(X_ACTION) + i) = X(K(X_PREVIOUS) + i) = 0.0f;
+    ROLLED for (int i = 0; i < T(AGES) * T(JOINTS); i++) DRIVE(D_TARGET, i) = X(K(X_DEFAULT) + i % T(JOINTS));
+    clear_report(a);
+    ROLLED for (int i = 0; i < K(K_NUM_INTERVALS); i++)
+        X(K(X_TIMER) + i) = uniform(v, K(K(K_INTERVAL) + i * FORM_SIZE + FORM_NUMBERS));
+    if (K(K_HAS_COMMAND) && !HAS(PINNED)) {
+        draw_command(v);
+        steer(v, &STATE(S_ROTATION, 0));
+    }
+    ROLLED for (int i = 0; i < TOTALS; i++) X(K(X_TOTAL) + i) = 0.0f;
+    ROLLED for (int i = 0; i < K(K_NUM_REWARDS); i++) X(K(X_SUM) + i) = 0.0f;
+    ROLLED for (int i = 0; i < TIMES * K(K_FEET); i++) X(K(X_TIME) + i) = 0.0f;
+    U(U_LENGTH) = U(U_LIVED) = U(U_CAUSES) = U(U_STEPS) = 0;
+    v->flags &= HOLDS_HEADING | STANDING | PINNED;
+    v->flags |= FRESH | FRESH_TARGETS;
+    place_robot(v);
+    read_imu(v);
+}
+FN int is_due(const Env *v) {
+    int mode = K(K_AUTORESET);
+    return HAS(NEEDS_RESET) && (mode == AT_SAME_STEP || (mode == AT_NEXT_STEP && !HAS(TERMINATED | TRUNCATED)));
+}
+
+/* Keeps the rows of drive and state, and the efforts of the report, for the record of a broken state. */
+FN void keep_rows(const Env *v, float *to) {
+    const Robot *a = v->a;
+    int listed = (int)STATE(S_PRESSING, 0), state = T(S_PRESSING) + 1 + LISTED_SIZE * listed;
+    state = state < v->row ? state : v->row;
+    ROLLED for (int i = 0; i < T(SIZE_DRIVE); i++) to[i] = v->drive[i];
+    ROLLED for (int i = 0; i < state; i++) to[T(SIZE_DRIVE) + i] = a->row[i];
+    ROLLED for (int i = T(R_EFFORT); i < T(R_BODY_FORCE); i++) to[T(SIZE_DRIVE) + v->row + i] = a->r[i];
+}
+FN int size_of_kept(const Env *v) {
+    const Robot *a = v->a;
+    return T(SIZE_DRIVE) + v->row + T(SIZE_REPORT);
+}
+
+/* the sets before the physics, and those after it */
+FN void before_physics(Env *v) {
+    act(v);
+    update_command(v);
+    disturb(v);
+    if (v->kept) keep_rows(v, v->kept);
+}
+/* Writes an episode that has ended, for the logs. */
+FN void write_ended(const Env *v, int env, unsigned *to) {
+    union { float number; unsigned bits; } word;
+    to[0] = (unsigned)env;
+    to[1] = v->flags;
+    to[2] = U(U_CAUSES);
+    to[3] = U(U_STEPS);
+    ROLLED for (int i = 0; i < TOTALS + K(K_NUM_REWARDS); i++) {
+        word.number = i < TOTALS ? X(K(X_TOTAL) + i) : X(K(X_SUM) + i - TOTALS);
+        to[ENDED_SIZE + i] = word.bits;
+    }
+}
+/* Returns the flags of the step, before a reset clears them. */
+FN unsigned after_physics(Env *v, int env, unsigned *ended) {
+    unsigned broken = 0;
+    if (v->kept && !is_allowed(v)) {
+        keep_rows(v, v->kept + size_of_kept(v));
+        v->kept[2 * size_of_kept(v)] = (float)U(U_LENGTH);
+        broken = BROKEN;
+    }
+    read_imu(v);
+    count_times(v);
+    terminate(v);
+    reward(v);
+    unsigned flags = (v->flags & (TERMINATED | TRUNCATED | INVALID)) | broken;
+    if (K(K_AUTORESET) == AT_SAME_STEP && HAS(TERMINATED | TRUNCATED)) {
+        if (K(K_REMEMBERS))
+            ROLLED for (int i = 0; i < K(K_OBSERVED); i++) v->final[i] = v->observation[i];
+        observe(v, v->final);
+        flags |= HAS_FINAL;
+    }
+    if (HAS(TERMINATED | TRUNCATED) && !HAS(LOGGED)) {
+        v->flags |= LOGGED;
+        write_ended(v, env, ended);
+        flags |= LOGGED;
+    }
+    if (is_due(v)) reset(v);
+    observe(v, v->observation);
+    return flags;
+}
+#endif

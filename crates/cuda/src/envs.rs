@@ -1,0 +1,591 @@
+//! Envs around the robots of a block: the tables of their task, and the columns and rows in which
+//! the device has them.
+
+use std::ops::Range;
+
+use crate::layout::*;
+
+/// Bits of an env's flags.
+pub mod flags {
+    use crate::layout;
+
+    macro_rules! bits {
+        ($($(#[$doc:meta])* $name:ident,)*) => {
+            $($(#[$doc])* pub const $name: u32 = layout::$name as u32;)*
+        };
+    }
+
+    bits! {
+        /// The episode failed in the present control step.
+        TERMINATED,
+        /// The episode ran out of time in the present control step.
+        TRUNCATED,
+        /// The env must be reset before it goes on.
+        NEEDS_RESET,
+        /// The state is broken.
+        INVALID,
+        /// The logs have counted the episode; of a control step: the episode is to be counted.
+        LOGGED,
+        /// The episode has just begun.
+        FRESH,
+        /// No action has been taken since the reset.
+        FRESH_TARGETS,
+        /// The yaw rate follows the heading.
+        HOLDS_HEADING,
+        /// The robot shall stand.
+        STANDING,
+        /// A caller has set the command.
+        PINNED,
+        /// Of a control step: the state after the physics is broken; of robots that are watched.
+        BROKEN,
+        /// Of a control step: there is a last observation of an episode that ended.
+        HAS_FINAL,
+    }
+}
+
+/// Sorts of terms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum FormKind {
+    /// Events that happen again and again.
+    Interval,
+    /// Events of a reset.
+    Reset,
+    /// Ends of episodes.
+    End,
+    /// Rewards.
+    Reward,
+    /// Observations.
+    Observation,
+}
+
+impl FormKind {
+    /// All sorts.
+    pub const ALL: [Self; 5] = [Self::Interval, Self::Reset, Self::End, Self::Reward, Self::Observation];
+
+    /// The prefix of their names in `device/tables.h`, and the names.
+    fn places(self) -> (&'static str, &'static [(&'static str, usize)]) {
+        match self {
+            Self::Interval => ("INTERVAL", INTERVAL_PLACES),
+            Self::Reset => ("RESET", RESET_PLACES),
+            Self::End => ("END", END_PLACES),
+            Self::Reward => ("REWARD", REWARD_PLACES),
+            Self::Observation => ("OBSERVATION", OBSERVATION_PLACES),
+        }
+    }
+
+    /// Number of terms that have a form.
+    pub fn count(self) -> usize {
+        self.places().1.len()
+    }
+}
+
+/// A term with its parameters, as the device has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Form {
+    term: usize,
+    numbers: Vec<f32>,
+    integers: Option<Vec<i32>>,
+}
+
+impl Form {
+    /// The form of a term in `device/env.h`, if there is one. The numbers and integers are those
+    /// that the text reads; without integers a term is about all joints.
+    pub fn new(kind: FormKind, name: &str, numbers: Vec<f32>, integers: Option<Vec<i32>>) -> Option<Self> {
+        let (prefix, places) = kind.places();
+        let wanted = format!("{prefix}_{}", name.to_uppercase());
+        let term = places.iter().find(|(known, _)| *known == wanted)?.1;
+        Some(Self { term, numbers, integers })
+    }
+}
+
+/// A reward term with its weight.
+#[derive(Clone, Debug)]
+pub struct RewardForm {
+    /// The term.
+    pub form: Form,
+    /// Factor of its value.
+    pub weight: f32,
+}
+
+/// An observation term in a row of observations.
+#[derive(Clone, Debug)]
+pub struct ObservationForm {
+    /// The term.
+    pub form: Form,
+    /// Its first column.
+    pub column: usize,
+    /// Its numbers in one control step.
+    pub size: usize,
+    /// Control steps that it remembers, the present one included.
+    pub memory: usize,
+    /// Half width of its uniform noise.
+    pub noise: f32,
+    /// Limits of the noisy numbers.
+    pub clip: Option<[f32; 2]>,
+    /// Factor of the limited numbers.
+    pub scale: f32,
+}
+
+/// A slot of a robot.
+#[derive(Clone, Copy, Debug)]
+pub struct Slot {
+    /// Physical joint.
+    pub joint: usize,
+    /// Column of the batch.
+    pub column: usize,
+    /// Sign of the joint's position.
+    pub sign: f32,
+}
+
+/// Delay of a group of actuators.
+#[derive(Clone, Debug)]
+pub struct Delay {
+    /// Fewest and most physics steps.
+    pub range: [u32; 2],
+    /// Joints of the group.
+    pub joints: Vec<usize>,
+}
+
+/// When envs whose episode has ended are reset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AutoresetForm {
+    /// In the same control step.
+    SameStep,
+    /// In the next one.
+    NextStep,
+    /// When a caller asks.
+    Never,
+}
+
+/// A task for the robots of a block.
+#[derive(Clone, Debug)]
+pub struct TaskForm {
+    /// The robot's slots.
+    pub slots: Vec<Slot>,
+    /// Columns of a row of actions, and of a row of observations.
+    pub widths: [usize; 2],
+    /// Joints of the robot.
+    pub joints: usize,
+    /// Contact bodies that are feet.
+    pub feet: Vec<usize>,
+    /// Group of each contact body, by any numbers that terms use too.
+    pub groups: Vec<i32>,
+    /// See [`AutoresetForm`].
+    pub autoreset: AutoresetForm,
+    /// Control steps of a full episode.
+    pub longest: u32,
+    /// Whether the task has a velocity command, and whether it may hold a heading.
+    pub commands: [bool; 2],
+    /// Ranges of forward and left velocity and yaw rate, and of the heading.
+    pub command_ranges: [[f32; 2]; 4],
+    /// Yaw rate per heading error.
+    pub stiffness: f32,
+    /// Shares of commands that hold a heading, stand, turn and walk sideways.
+    pub shares: [f32; 4],
+    /// Time between two commands, s.
+    pub resampling: f32,
+    /// Length of a physics step and of a control step, s.
+    pub lengths: [f32; 2],
+    /// Height of the ground, m.
+    pub height: f32,
+    /// Direction of gravity, and its size.
+    pub gravity: ([f32; 3], f32),
+    /// Limits of a state's quantities, in their order.
+    pub limits: [f32; 7],
+    /// Least height of a shape above the ground at a reset, m.
+    pub margin: f32,
+    /// Share of the joints' ranges that resets stay within.
+    pub soft: f32,
+    /// Ranges of base velocity, joint positions and joint velocities at a reset.
+    pub reset_ranges: [[f32; 2]; 3],
+    /// Whether joint positions are scaled at a reset, or moved.
+    pub scales: bool,
+    /// Delays of actuators.
+    pub delays: Vec<Delay>,
+    /// Interval events, each with the range of its time, s.
+    pub intervals: Vec<([f32; 2], Form)>,
+    /// Events of a reset.
+    pub resets: Vec<Form>,
+    /// Ends of episodes, each with whether it truncates.
+    pub ends: Vec<(bool, Form)>,
+    /// Rewards.
+    pub rewards: Vec<RewardForm>,
+    /// Observations.
+    pub observations: Vec<ObservationForm>,
+}
+
+/// Tables of a task for a block, and the sizes of its columns and rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TaskTables {
+    /// Table of integers.
+    pub integers: Vec<i32>,
+    /// Table of numbers.
+    pub numbers: Vec<f32>,
+    /// Columns of an env.
+    pub columns: usize,
+    /// Numbers of a row of actions, of observations, and of an episode that has ended.
+    pub widths: [usize; 3],
+}
+
+/// Lists behind the numbers of a table.
+struct Lists {
+    integers: Vec<i32>,
+    numbers: Vec<f32>,
+}
+
+/// Places are counted in integers of 32 bits.
+fn whole(x: usize) -> i32 {
+    i32::try_from(x).unwrap_or(i32::MAX)
+}
+
+impl Lists {
+    /// Notes where the list of a name begins, and adds it.
+    fn list(&mut self, name: usize, list: &[i32]) {
+        self.integers[name] = whole(self.integers.len());
+        self.integers.extend(list);
+    }
+
+    /// Adds numbers, and says where they begin.
+    fn place(&mut self, numbers: &[f32]) -> i32 {
+        let at = whole(self.numbers.len());
+        self.numbers.extend(numbers);
+        at
+    }
+
+    /// Adds a term's own lists. Its entry has `before` in front of its numbers, and ends with
+    /// `more`.
+    fn entry(&mut self, form: &Form, before: &[f32], more: [i32; 3]) -> [i32; FORM_SIZE] {
+        let at = self.place(before);
+        self.place(&form.numbers);
+        let list = whole(self.integers.len());
+        self.integers.extend(form.integers.iter().flatten());
+        let count = form.integers.as_ref().map_or(-1, |list| whole(list.len()));
+        [whole(form.term), at, list, count, more[0], more[1], more[2]]
+    }
+}
+
+impl TaskTables {
+    /// The tables of a task.
+    pub fn new(task: &TaskForm) -> Self {
+        let mut lists = Lists { integers: vec![0; NUM_TASK], numbers: vec![0.0; NUM_TASK_NUMBERS] };
+        let autoreset = match task.autoreset {
+            AutoresetForm::SameStep => AT_SAME_STEP,
+            AutoresetForm::NextStep => AT_NEXT_STEP,
+            AutoresetForm::Never => NEVER,
+        };
+        for (name, number) in [
+            (K_SLOTS, task.slots.len()),
+            (K_ACTIONS, task.widths[0]),
+            (K_OBSERVED, task.widths[1]),
+            (K_FEET, task.feet.len()),
+            (K_AUTORESET, autoreset),
+            (K_HAS_COMMAND, usize::from(task.commands[0])),
+            (K_HEADING_COMMAND, usize::from(task.commands[1])),
+            (K_LONGEST, task.longest as usize),
+            (K_SCALES, usize::from(task.scales)),
+            (K_REMEMBERS, usize::from(task.observations.iter().any(|term| term.memory > 1))),
+            (K_NUM_DELAYS, task.delays.len()),
+            (K_NUM_INTERVALS, task.intervals.len()),
+            (K_NUM_RESETS, task.resets.len()),
+            (K_NUM_ENDS, task.ends.len()),
+            (K_NUM_REWARDS, task.rewards.len()),
+            (K_NUM_TERMS, task.observations.len()),
+        ] {
+            lists.integers[name] = whole(number);
+        }
+        let mut next = 0;
+        for (name, size) in [
+            (X_ACTION, task.slots.len()),
+            (X_PREVIOUS, task.slots.len()),
+            (X_COMMAND, COMMAND_SIZE),
+            (X_TIMER, task.intervals.len()),
+            (X_SUM, task.rewards.len()),
+            (X_TOTAL, TOTALS),
+            (X_TIME, TIMES * task.feet.len()),
+            (X_DEFAULT, task.joints),
+            (X_SCALE, 1),
+            (X_SPAWN, 1),
+            (X_MASS, 1),
+        ] {
+            lists.integers[name] = whole(next);
+            next += size;
+        }
+        let ([down, fall], [heading, standing, turning, sideways]) =
+            ([task.gravity.0, [task.gravity.1; 3]], task.shares);
+        for (name, numbers) in [
+            (F_DT, &task.lengths[..1]),
+            (F_STEP, &task.lengths[1..]),
+            (F_HEIGHT, &[task.height]),
+            (F_DOWN, &down),
+            (F_FREE_FALL, &fall[..1]),
+            (F_LIMIT, &task.limits),
+            (F_RANGE, task.command_ranges[..3].as_flattened()),
+            (F_HEADING, &task.command_ranges[3]),
+            (F_STIFFNESS, &[task.stiffness]),
+            (F_HEADING_SHARE, &[heading, standing, turning, sideways]),
+            (F_RESAMPLING, &[task.resampling]),
+            (F_MARGIN, &[task.margin]),
+            (F_SOFT, &[task.soft]),
+            (F_BASE_VELOCITY, task.reset_ranges.as_flattened()),
+        ] {
+            lists.numbers[name..name + numbers.len()].copy_from_slice(numbers);
+        }
+        let signs = task.slots.iter().map(|slot| slot.sign).collect::<Vec<_>>();
+        let first_sign = lists.place(&signs);
+        let slots = task.slots.iter().zip(first_sign..);
+        let slots = slots.flat_map(|(slot, sign)| [whole(slot.joint), whole(slot.column), sign]);
+        lists.list(K_SLOT, &slots.collect::<Vec<_>>());
+        lists.list(K_FOOT, &task.feet.iter().map(|&body| whole(body)).collect::<Vec<_>>());
+        lists.list(K_GROUP, &task.groups);
+        let mut delays = Vec::new();
+        for Delay { range, joints } in &task.delays {
+            let at = whole(lists.integers.len());
+            lists.integers.extend(joints.iter().map(|&joint| whole(joint)));
+            delays.extend([whole(range[0] as usize), whole(range[1] as usize), whole(joints.len()), at]);
+        }
+        lists.list(K_DELAY, &delays);
+        let intervals: Vec<_> = task.intervals.iter().map(|(time, form)| lists.entry(form, time, [0; 3])).collect();
+        lists.list(K_INTERVAL, intervals.as_flattened());
+        let resets: Vec<_> = task.resets.iter().map(|form| lists.entry(form, &[], [0; 3])).collect();
+        lists.list(K_RESET, resets.as_flattened());
+        let ends = task.ends.iter().map(|(truncates, form)| lists.entry(form, &[], [i32::from(*truncates), 0, 0]));
+        let ends: Vec<_> = ends.collect();
+        lists.list(K_END, ends.as_flattened());
+        let mut rewards = Vec::new();
+        for RewardForm { form, weight } in &task.rewards {
+            let weight = lists.place(&[*weight]);
+            rewards.push(lists.entry(form, &[], [weight, 0, 0]));
+        }
+        lists.list(K_REWARD, rewards.as_flattened());
+        let mut terms = Vec::new();
+        for term in &task.observations {
+            let [low, high] = term.clip.unwrap_or([1.0, 0.0]);
+            let filter = [term.noise, low, high, term.scale];
+            terms.push(lists.entry(&term.form, &filter, [term.column, term.size, term.memory].map(whole)));
+        }
+        lists.list(K_TERM, terms.as_flattened());
+        let ended = ENDED_SIZE + TOTALS + task.rewards.len();
+        let widths = [task.widths[0], task.widths[1], ended];
+        Self { integers: lists.integers, numbers: lists.numbers, columns: next, widths }
+    }
+
+    fn at(&self, name: usize) -> usize {
+        usize::try_from(self.integers[name]).unwrap_or(0)
+    }
+
+    /// The parts of the host's numbers: columns, rows of actions, observations and last
+    /// observations, rewards, commands. The first three and the fourth are on the device too.
+    pub fn parts(&self, robots: usize) -> EnvParts {
+        let sizes = [self.columns, self.widths[0], self.widths[1], self.widths[1], 1, 3].map(|size| size * robots);
+        let mut next = 0;
+        let mut range = |size: usize| {
+            next += size;
+            next - size..next
+        };
+        let numbers = sizes.map(&mut range);
+        let mut next = 0;
+        let words = [NUM_WORDS, 1, self.widths[2]].map(|size| {
+            next += size * robots;
+            next - size * robots..next
+        });
+        EnvParts { numbers, words }
+    }
+}
+
+/// Parts of an env block's memory.
+#[derive(Clone, Debug)]
+pub struct EnvParts {
+    /// Columns, actions, observations, last observations, rewards, commands.
+    pub numbers: [Range<usize>; 6],
+    /// Columns of integers, flags, ended episodes.
+    pub words: [Range<usize>; 3],
+}
+
+impl EnvParts {
+    /// Numbers and words of the host's side.
+    pub fn of_host(&self) -> [usize; 2] {
+        [self.numbers[5].end, self.words[2].end]
+    }
+
+    /// Numbers and words that are on the device too.
+    pub fn of_device(&self) -> [usize; 2] {
+        [self.numbers[3].end, self.words[0].end]
+    }
+}
+
+/// A column of numbers of an env.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Column {
+    /// The present action, in the order of the slots.
+    Action,
+    /// The action before.
+    Previous,
+    /// Command: velocity (3), heading, time left.
+    Command,
+    /// Time until each interval event.
+    Timer,
+    /// Sum of each reward term.
+    Sum,
+    /// Sums of reward, errors of velocity and yaw rate, commanded ones, speed.
+    Total,
+    /// Contact times of the feet, then air times, last contact and last air times.
+    Time,
+    /// Default pose.
+    Default,
+    /// Action scale, spawn height and total mass.
+    Stance,
+}
+
+impl Column {
+    fn name(self) -> usize {
+        match self {
+            Self::Action => X_ACTION,
+            Self::Previous => X_PREVIOUS,
+            Self::Command => X_COMMAND,
+            Self::Timer => X_TIMER,
+            Self::Sum => X_SUM,
+            Self::Total => X_TOTAL,
+            Self::Time => X_TIME,
+            Self::Default => X_DEFAULT,
+            Self::Stance => X_SCALE,
+        }
+    }
+}
+
+/// A column of integers of an env.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Word {
+    /// State of the random numbers, low and high half.
+    State,
+    /// Increment of the random numbers, low and high half.
+    Increment,
+    /// Length of the episode.
+    Length,
+    /// Control steps since the reset.
+    Lived,
+    /// Causes of the end.
+    Causes,
+    /// Control steps that were summed.
+    Steps,
+    /// See [`flags`].
+    Flags,
+}
+
+impl Word {
+    fn place(self) -> usize {
+        match self {
+            Self::State => U_STATE,
+            Self::Increment => U_INCREMENT,
+            Self::Length => U_LENGTH,
+            Self::Lived => U_LIVED,
+            Self::Causes => U_CAUSES,
+            Self::Steps => U_STEPS,
+            Self::Flags => U_FLAGS,
+        }
+    }
+}
+
+/// Columns of envs on the host's side.
+pub struct EnvRows<'a> {
+    task: &'a TaskTables,
+    robots: usize,
+    numbers: &'a mut [f32],
+    words: &'a mut [u32],
+}
+
+impl EnvRows<'_> {
+    /// Writes numbers of an env, from the beginning of a column on.
+    pub fn write<'b>(&mut self, env: usize, column: Column, numbers: impl IntoIterator<Item = &'b f32>) {
+        let places = self.numbers[self.task.at(column.name()) * self.robots + env..].iter_mut().step_by(self.robots);
+        places.zip(numbers).for_each(|(place, number)| *place = *number);
+    }
+
+    /// Reads numbers of an env, from the beginning of a column on.
+    pub fn read<'b>(&self, env: usize, column: Column, numbers: impl IntoIterator<Item = &'b mut f32>) {
+        let places = self.numbers[self.task.at(column.name()) * self.robots + env..].iter().step_by(self.robots);
+        numbers.into_iter().zip(places).for_each(|(number, place)| *number = *place);
+    }
+
+    /// Writes an integer.
+    pub fn write_word(&mut self, env: usize, word: Word, value: u32) {
+        self.words[word.place() * self.robots + env] = value;
+    }
+
+    /// Reads an integer.
+    pub fn word(&self, env: usize, word: Word) -> u32 {
+        self.words[word.place() * self.robots + env]
+    }
+
+    /// Writes both halves.
+    pub fn write_wide(&mut self, env: usize, word: Word, value: u64) {
+        self.words[word.place() * self.robots + env] = value as u32;
+        self.words[(word.place() + 1) * self.robots + env] = (value >> 32) as u32;
+    }
+
+    /// Reads both halves.
+    pub fn wide(&self, env: usize, word: Word) -> u64 {
+        let [low, high] = [0, 1].map(|half| u64::from(self.words[(word.place() + half) * self.robots + env]));
+        high << 32 | low
+    }
+}
+
+/// The host's side of a block of envs.
+pub struct EnvHost<'a> {
+    /// Columns, as the last upload or download has them.
+    pub rows: EnvRows<'a>,
+    /// Rows of actions, which a control step reads.
+    pub actions: &'a mut [f32],
+    /// Rows of observations: those that an upload sends, and those that a control step has written.
+    pub observations: &'a mut [f32],
+    /// Last observations of the episodes that ended in the last control step.
+    pub finals: &'a [f32],
+    /// Rewards of the last control step.
+    pub rewards: &'a [f32],
+    /// Velocity commands after the last control step, `[robots, 3]`.
+    pub commands: &'a [f32],
+    /// Flags of the last control step, before resets.
+    pub flags: &'a [u32],
+    /// Episodes that ended in the last control step, see [`EnvHost::ended`].
+    ended: &'a [u32],
+}
+
+/// An episode that has ended.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Ended {
+    /// Its flags.
+    pub flags: u32,
+    /// Causes of its end.
+    pub causes: u32,
+    /// Control steps that were summed.
+    pub steps: u32,
+    /// Sums as in [`Column::Total`].
+    pub totals: [f32; TOTALS],
+    /// Sum of each reward term.
+    pub terms: Vec<f32>,
+}
+
+impl<'a> EnvHost<'a> {
+    /// The host's side in its memory, whose sizes are [`EnvParts::of_host`].
+    pub fn new(task: &'a TaskTables, robots: usize, numbers: &'a mut [f32], words: &'a mut [u32]) -> Self {
+        let EnvParts { numbers: parts, words: word_parts } = task.parts(robots);
+        let (columns, rest) = numbers.split_at_mut(parts[0].len());
+        let (actions, rest) = rest.split_at_mut(parts[1].len());
+        let (observations, rest) = rest.split_at_mut(parts[2].len());
+        let (finals, rest) = rest.split_at(parts[3].len());
+        let (rewards, commands) = rest.split_at(parts[4].len());
+        let (words, rest) = words.split_at_mut(word_parts[0].len());
+        let (flags, ended) = rest.split_at(word_parts[1].len());
+        let rows = EnvRows { task, robots, numbers: columns, words };
+        Self { rows, actions, observations, finals, rewards, commands, flags, ended }
+    }
+
+    /// The episode of an env that ended in the last control step, where its flags say
+    /// [`flags::LOGGED`].
+    pub fn ended(&self, env: usize) -> Ended {
+        let size = self.rows.task.widths[2];
+        let words = &self.ended[env * size..(env + 1) * size];
+        let mut numbers = words[ENDED_SIZE..].iter().map(|&word| f32::from_bits(word));
+        let totals = std::array::from_fn(|_| numbers.next().unwrap_or_default());
+        Ended { flags: words[1], causes: words[2], steps: words[3], totals, terms: numbers.collect() }
+    }
+}

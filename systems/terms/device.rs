@@ -1,0 +1,185 @@
+//! A task as a device has it, where all that the task uses has a form there.
+
+use super::compile::{CompiledTask, ILLEGAL_STATE};
+use super::registry::Registry;
+use crate::config::{EventMode, JointPositionMode};
+use crate::engine::device::{
+    AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables,
+};
+use crate::morphology::MorphologyModel;
+use crate::options::Autoreset;
+use crate::world::Ground;
+
+impl CompiledTask {
+    /// The tables of the task for a robot, the one at place `index`.
+    ///
+    /// # Errors
+    /// What has no form on the device.
+    pub(in crate::systems) fn on_device(
+        &self,
+        registry: &Registry,
+        (index, robot): (usize, &MorphologyModel),
+        ground: &Ground,
+        autoreset: Autoreset,
+        num_actions: usize,
+    ) -> Result<TaskTables, String> {
+        self.check_device(ground)?;
+        let config = &self.config;
+        let find = |kind: FormKind, what: &str, name: &str, params: &toml::Table| {
+            registry.form(kind, name, params, robot).ok_or_else(|| format!("the {what} `{name}`"))
+        };
+        let rewards = self.reward_forms(registry, (index, robot))?;
+        let mut ends = Vec::new();
+        let named = config.terminations.iter().filter(|(name, _)| *name != ILLEGAL_STATE);
+        for ((name, params), term) in named.zip(&self.terminations) {
+            ends.push((term.time_out, find(FormKind::End, "termination", name, params)?));
+        }
+        let mut observations = Vec::new();
+        let mut column = 0;
+        let named = config.observations.groups().flat_map(|(_, terms)| terms);
+        for (named, term) in named.zip(&self.observations) {
+            if term.error > 0.0 || term.is_external {
+                return Err(format!("an error or a caller's numbers of the observation `{}`", term.name));
+            }
+            observations.push(ObservationForm {
+                form: find(FormKind::Observation, "observation", &named.term, &named.params)?,
+                column,
+                size: term.size / term.history,
+                memory: term.history,
+                noise: term.noise,
+                clip: term.clip,
+                scale: term.scale,
+            });
+            column += term.size;
+        }
+        let (intervals, resets) = self.event_forms(registry, robot)?;
+        let (commands, reset) = (&self.commands[index], &robot.config.reset);
+        let single = |range: [f64; 2]| range.map(|x| x as f32);
+        let [forward, left, yaw] = self.velocity_ranges[index].base();
+        Ok(TaskTables::new(&TaskForm {
+            slots: (robot.slots.iter())
+                .map(|slot| Slot { joint: slot.joint(), column: slot.column(), sign: slot.sign })
+                .collect(),
+            widths: [num_actions, column],
+            joints: robot.topology.num_joints(),
+            feet: robot.feet.clone(),
+            groups: robot.body_groups.iter().map(|group| *group as i32).collect(),
+            autoreset: match autoreset {
+                Autoreset::SameStep => AutoresetForm::SameStep,
+                Autoreset::NextStep => AutoresetForm::NextStep,
+                Autoreset::Disabled => AutoresetForm::Never,
+            },
+            longest: self.max_episode_length,
+            commands: [self.has_velocity_command(), commands.heading_command],
+            command_ranges: [forward, left, yaw, single(commands.heading)],
+            stiffness: commands.heading_control_stiffness as f32,
+            shares: [
+                commands.rel_heading_envs,
+                commands.rel_standing_envs,
+                commands.rel_turning_envs,
+                commands.rel_sideways_envs,
+            ]
+            .map(|share| share as f32),
+            resampling: commands.resampling_time_s as f32,
+            lengths: [config.sim.dt as f32, self.step_dt],
+            height: ground.height as f32,
+            gravity: (ground.down, ground.free_fall()),
+            limits: self.limits.of_quantities().map(|(_, limit)| limit),
+            margin: reset.spawn_margin as f32,
+            soft: reset.soft_limit_factor as f32,
+            reset_ranges: [reset.base_velocity.range, reset.joint_position.range, reset.joint_velocity.range]
+                .map(single),
+            scales: reset.joint_position.mode == JointPositionMode::Scale,
+            delays: (robot.delays.iter())
+                .map(|(range, joints)| Delay { range: *range, joints: joints.clone() })
+                .collect(),
+            intervals,
+            resets,
+            ends,
+            rewards,
+            observations,
+        }))
+    }
+
+    /// What of the task, apart from its terms, has no form on the device.
+    fn check_device(&self, ground: &Ground) -> Result<(), String> {
+        let sensors = &self.config.sensors;
+        let lacks = [
+            (ground.terrain.is_some() || ground.layout.is_some(), "uneven ground"),
+            (self.config.physics.mirror_links, "physics.mirror_links"),
+            (sensors.height_scanner.is_some(), "sensors.height_scanner"),
+            (sensors.ray_caster_camera.is_some(), "sensors.ray_caster_camera"),
+            (!self.command_terms.is_empty(), "a command other than the velocity"),
+            (!self.reset_body_events.is_empty(), "an event that changes bodies at a reset"),
+            (!self.curriculum.is_empty(), "a curriculum"),
+        ];
+        lacks.into_iter().find(|(lacks, _)| *lacks).map_or(Ok(()), |(_, what)| Err(what.to_owned()))
+    }
+
+    fn reward_forms(
+        &self,
+        registry: &Registry,
+        (index, robot): (usize, &MorphologyModel),
+    ) -> Result<Vec<RewardForm>, String> {
+        let set = self.config.reward_set(robot.name(), &robot.config.reward_set).map_err(|error| error.to_string())?;
+        let mut rewards = Vec::new();
+        for term in &self.rewards[index] {
+            let form = set.get(&term.name).and_then(|of| {
+                registry.form(FormKind::Reward, of.term.as_ref().unwrap_or(&term.name), &of.params, robot)
+            });
+            let form = form.ok_or_else(|| format!("the reward `{}`", term.name))?;
+            rewards.push(RewardForm { form, weight: term.weight });
+        }
+        Ok(rewards)
+    }
+
+    /// Interval events and those of a reset, in the order in which they happen.
+    #[expect(clippy::type_complexity, reason = "two lists")]
+    fn event_forms(
+        &self,
+        registry: &Registry,
+        robot: &MorphologyModel,
+    ) -> Result<(Vec<([f32; 2], Form)>, Vec<Form>), String> {
+        let (mut intervals, mut resets) = (Vec::new(), Vec::new());
+        for (name, event) in self.config.events.iter().filter(|(_, event)| event.enabled) {
+            let of_kind = |kind| {
+                let form = registry.form(kind, name, &event.params, robot);
+                form.ok_or_else(|| format!("the event `{name}`"))
+            };
+            match event.mode {
+                EventMode::Startup => {}
+                EventMode::Interval => {
+                    let place = registry.interval.get(name.as_str()).map(|(place, _)| *place);
+                    let time = event.interval_range_s.unwrap_or_default().map(|x| x as f32);
+                    intervals.push((place, (time, of_kind(FormKind::Interval)?)));
+                }
+                EventMode::Reset => {
+                    let place = registry.reset.get(name.as_str()).map(|(place, _)| *place);
+                    resets.push((place, of_kind(FormKind::Reset)?));
+                }
+            }
+        }
+        intervals.sort_by_key(|(place, _)| *place);
+        resets.sort_by_key(|(place, _)| *place);
+        let (intervals, resets) = (intervals.into_iter().map(|of| of.1), resets.into_iter().map(|of| of.1));
+        Ok((intervals.collect(), resets.collect()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_text_of_the_device_has_the_terms_that_say_so_and_no_others() {
+        let registry = Registry::builtin();
+        for kind in FormKind::ALL {
+            let names: Vec<&str> =
+                registry.with_forms().filter(|(of, _)| *of == kind).map(|(_, name)| name).collect();
+            for name in &names {
+                assert!(Form::new(kind, name, Vec::new(), None).is_some(), "{kind:?} {name}");
+            }
+            assert_eq!(names.len(), kind.count(), "{kind:?}");
+        }
+    }
+}

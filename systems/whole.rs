@@ -1,0 +1,461 @@
+//! Whole control steps on a device: the columns of all envs stay there between steps, and only
+//! actions go there and observations, rewards and ends come back. Components are up to date again
+//! after [`leave_device`].
+
+use std::sync::OnceLock;
+
+use bevy_ecs::prelude::*;
+use smallvec::SmallVec;
+
+use super::physics::{PhysicsEngine, upload_bodies};
+use super::sense::measure_states;
+use super::terms::{CompiledTask, Registry};
+use super::{BrokenStates, ControlStep, Logs, PolypodPlugins, ResetEnvs, faults};
+use crate::batch::Batch;
+use crate::blocks::{Block, BlockSizes, Blocks};
+use crate::components::{
+    Action, Body, Command, ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode,
+    EpisodeSums, EventTimers, JointTargets, Robot, Stance,
+};
+use crate::engine::device::{Column, DeviceError, Ended, EnvHost, TaskTables, Word, flags};
+use crate::engine::{DivergenceRecord, RobotColumns, RobotSlices, WholeSteps};
+use crate::error::Error;
+use crate::morphology::Morphologies;
+use crate::options::Autoreset;
+use crate::workers::Workers;
+use crate::world::Ground;
+
+/// Control steps that the device has made alone, and what the host knows of them.
+#[derive(Resource, Default)]
+pub(crate) struct OnDevice {
+    /// Since the components were up to date.
+    steps: u64,
+    /// Control steps of each env's simulation at that moment.
+    before: Vec<u64>,
+    /// Velocity commands after the last control step, `[num_envs, 3]`.
+    pub(crate) commands: Vec<f32>,
+}
+
+fn lost(error: &DeviceError) -> Error {
+    let problem = format!("the card failed in the middle of a simulation: {error}");
+    Error::argument("physics.engine", problem, "make the simulation anew, or restore a snapshot")
+}
+
+/// Why the device does not make the whole control step: what of the simulation has no form there.
+pub(crate) fn lacks_on_device(world: &mut World) -> Option<String> {
+    let whole = world.get_resource_mut::<PhysicsEngine>().and_then(|mut engine| engine.0.whole_steps().map(drop));
+    if whole.is_none() {
+        return Some("the engine has no device to itself".into());
+    }
+    if !has_own_systems_alone(world) {
+        return Some("systems of a plugin".into());
+    }
+    tables(world).err()
+}
+
+/// Whether the schedules hold the systems of [`PolypodPlugins`] and no others.
+fn has_own_systems_alone(world: &World) -> bool {
+    static OWN: OnceLock<Option<[usize; 2]>> = OnceLock::new();
+    let count = |world: &World| {
+        let schedules = world.get_resource::<Schedules>()?;
+        Some([schedules.get(ControlStep)?.systems_len(), schedules.get(ResetEnvs)?.systems_len()])
+    };
+    let own = OWN.get_or_init(|| {
+        let mut plain = bevy_app::App::empty();
+        plain.add_plugins(PolypodPlugins);
+        count(plain.world())
+    });
+    count(world) == *own
+}
+
+/// The task's tables for each morphology that has robots.
+fn tables(world: &World) -> Result<Vec<TaskTables>, String> {
+    let (task, registry) = (world.resource::<CompiledTask>(), world.get_resource::<Registry>());
+    let registry = registry.ok_or("terms that are unknown")?;
+    let (ground, autoreset) = (world.resource::<Ground>(), *world.resource::<Autoreset>());
+    let num_actions = world.resource::<Batch>().num_actions;
+    let robots = world.resource::<Morphologies>().0.iter().zip(&world.resource::<BlockSizes>().0).enumerate();
+    let robots = robots.filter(|(_, (_, count))| **count > 0);
+    robots.map(|(index, (robot, _))| task.on_device(registry, (index, robot), ground, autoreset, num_actions)).collect()
+}
+
+/// Tables that [`enter`] takes over.
+#[derive(Resource)]
+struct NewTables(Vec<TaskTables>);
+
+/// Hands all envs over to the device. Returns whether it could: see [`lacks_on_device`].
+///
+/// # Errors
+/// A device that is lost; rows that are no blocks.
+pub(crate) fn enter_device(world: &mut World) -> Result<bool, Error> {
+    if lacks_on_device(world).is_some() {
+        return Ok(false);
+    }
+    let Ok(tables) = tables(world) else { return Ok(false) };
+    faults::outcome::<(), ()>(world.run_system_cached(upload_bodies))?;
+    world.insert_resource(NewTables(tables));
+    world.init_resource::<OnDevice>();
+    let entered = faults::outcome(world.run_system_cached(enter));
+    world.remove_resource::<NewTables>();
+    entered
+}
+
+/// Components of envs that the device keeps.
+type EnvColumns = (
+    &'static Episode,
+    &'static EnvRng,
+    &'static Command,
+    &'static EventTimers,
+    &'static EpisodeSums,
+    &'static CurriculumProgress,
+    &'static EnvOrigin,
+);
+
+fn enter(
+    workers: Res<Workers>,
+    new: Res<NewTables>,
+    batch: Res<Batch>,
+    mut known: ResMut<OnDevice>,
+    mut engine: ResMut<PhysicsEngine>,
+    mut robots: Blocks<RobotColumns, Robot>,
+    more: Blocks<(&'static Action, &'static Stance, &'static Body), Robot>,
+    sensors: Blocks<&'static ContactSensor, ContactSensor>,
+    envs: Blocks<EnvColumns, Env>,
+) -> Result<bool> {
+    let Some(whole) = engine.0.whole_steps() else { return Ok(false) };
+    let envs = envs.read()?;
+    let fresh: Vec<Vec<bool>> =
+        robots.read()?.into_iter().map(|block| block.rows.3.iter().map(|targets| targets.fresh).collect()).collect();
+    let rows = robots.write()?.zip(envs.clone()).map(|_, (robots, envs)| RobotSlices::new(robots, envs.6)).collect();
+    if !whole.enter(&workers, rows, new.0.clone()).map_err(|error| lost(&error))? {
+        return Ok(false);
+    }
+    known.steps = 0;
+    known.before.clear();
+    known.commands.clear();
+    let blocks = more.read()?.zip(sensors.read()?).zip(envs).into_iter().zip(whole.hosts()).zip(fresh);
+    let width = batch.num_obs;
+    let mut tasks = Vec::new();
+    for ((Block { envs, rows: (robots, of_envs), .. }, host), fresh) in blocks {
+        known.before.extend(of_envs.5.iter().map(|progress| progress.steps));
+        known.commands.extend(of_envs.2.iter().flat_map(|command| command.velocity));
+        tasks.push((robots, of_envs, host, fresh, &batch.observations[envs.start * width..envs.end * width]));
+    }
+    workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, observations)| {
+        host.observations.copy_from_slice(observations);
+        let ((actions, stances, bodies), sensors) = robots;
+        let (episodes, rngs, commands, timers, sums, ..) = of_envs;
+        for env in 0..actions.len() {
+            let rows = &mut host.rows;
+            rows.write(env, Column::Action, &actions[env].current);
+            rows.write(env, Column::Previous, &actions[env].previous);
+            let command = &commands[env];
+            rows.write(env, Column::Command, command.velocity.iter().chain([&command.heading, &command.time_left]));
+            rows.write(env, Column::Timer, &timers[env].0);
+            let sum = &sums[env];
+            rows.write(env, Column::Sum, &sum.terms);
+            rows.write(env, Column::Total, &totals(sum));
+            let contact = &sensors[env];
+            let times = [&contact.contact_time, &contact.air_time, &contact.last_contact_time, &contact.last_air_time];
+            rows.write(env, Column::Time, times.into_iter().flatten());
+            let stance = &stances[env];
+            rows.write(env, Column::Default, stance.default_position.iter());
+            rows.write(env, Column::Stance, &[stance.action_scale, stance.spawn_height, bodies[env].0.total_mass()]);
+            let (state, increment) = rngs[env].parts();
+            rows.write_wide(env, Word::State, state);
+            rows.write_wide(env, Word::Increment, increment);
+            let episode = &episodes[env];
+            rows.write_word(env, Word::Length, episode.length);
+            rows.write_word(env, Word::Lived, episode.lived);
+            rows.write_word(env, Word::Causes, episode.causes);
+            rows.write_word(env, Word::Steps, sum.steps);
+            rows.write_word(env, Word::Flags, flags_of(episode, command, fresh[env]));
+        }
+    });
+    whole.upload().map_err(|error| lost(&error))?;
+    Ok(true)
+}
+
+fn totals(sums: &EpisodeSums) -> [f32; 6] {
+    let EpisodeSums { reward, error_vel_xy, error_vel_yaw, command_xy, command_yaw, speed_xy, .. } = *sums;
+    [reward, error_vel_xy, error_vel_yaw, command_xy, command_yaw, speed_xy]
+}
+
+fn set_totals(sums: &mut EpisodeSums, totals: [f32; 6]) {
+    [sums.reward, sums.error_vel_xy, sums.error_vel_yaw, sums.command_xy, sums.command_yaw, sums.speed_xy] = totals;
+}
+
+fn flags_of(episode: &Episode, command: &Command, fresh_targets: bool) -> u32 {
+    let bits = [
+        (episode.terminated, flags::TERMINATED),
+        (episode.truncated, flags::TRUNCATED),
+        (episode.needs_reset, flags::NEEDS_RESET),
+        (episode.invalid, flags::INVALID),
+        (episode.logged, flags::LOGGED),
+        (episode.fresh, flags::FRESH),
+        (fresh_targets, flags::FRESH_TARGETS),
+        (command.holds_heading, flags::HOLDS_HEADING),
+        (command.standing, flags::STANDING),
+        (command.pinned, flags::PINNED),
+    ];
+    bits.into_iter().filter(|(is_set, _)| *is_set).fold(0, |all, (_, bit)| all | bit)
+}
+
+/// One control step of all envs on the device, with the actions of the batch.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn step_on_device(world: &mut World) -> Result<(), Error> {
+    world.resource_scope(|world, mut engine: Mut<PhysicsEngine>| {
+        world.resource_scope(|world, mut batch: Mut<Batch>| {
+            world.resource_scope(|world, mut known: Mut<OnDevice>| {
+                let whole = engine.0.whole_steps();
+                let whole = whole.ok_or_else(|| Error::argument("physics.engine", "it has no device", "use cuda"))?;
+                let (ended, broken) = step(world, whole, &mut batch, &mut known)?;
+                let found = broken.into_iter().filter_map(|(record, length)| {
+                    let body = body_of(world, record.env)?;
+                    Some((record, length, body))
+                });
+                let found = found.collect();
+                let limits = world.resource::<CompiledTask>().limits;
+                world.resource_mut::<BrokenStates>().count_step(found, limits);
+                if let Some(mut logs) = world.get_resource_mut::<Logs>() {
+                    ended.iter().for_each(|(morphology, env, ended)| log(&mut logs, &known, *morphology, *env, ended));
+                }
+                Ok(())
+            })
+        })
+    })
+}
+
+/// The body of an env's robot.
+fn body_of(world: &mut World, env: usize) -> Option<Body> {
+    let mut bodies = world.query_filtered::<(&EnvId, &Body), With<Robot>>();
+    bodies.iter(world).find(|(id, _)| id.0 as usize == env).map(|(_, body)| body.clone())
+}
+
+/// Counts an episode that has ended.
+fn log(logs: &mut Logs, known: &OnDevice, morphology: usize, env: usize, ended: &Ended) {
+    let episode = Episode {
+        terminated: ended.flags & flags::TERMINATED != 0,
+        truncated: ended.flags & flags::TRUNCATED != 0,
+        causes: ended.causes,
+        ..Episode::default()
+    };
+    let terms = SmallVec::from_slice(&ended.terms);
+    let mut sums = EpisodeSums { terms, steps: ended.steps, ..EpisodeSums::default() };
+    set_totals(&mut sums, ended.totals);
+    let progress = CurriculumProgress { steps: known.before[env] + known.steps, ..CurriculumProgress::default() };
+    logs.add(morphology, &episode, &sums, &progress);
+}
+
+/// Rows of one block, of the batch and of the host's side.
+struct Part<'a, 'b> {
+    morphology: usize,
+    first: usize,
+    host: EnvHost<'a>,
+    observations: &'b mut [f32],
+    finals: &'b mut [f32],
+    rewards: &'b mut [f32],
+    commands: &'b mut [f32],
+    flags: [&'b mut [bool]; 3],
+    width: usize,
+}
+
+/// What a control step tells beyond the batch: the episodes that the logs count, each with its
+/// morphology and env, and the records of broken states.
+type Told = (Vec<(usize, usize, Ended)>, Vec<(DivergenceRecord, u32)>);
+
+fn step(world: &World, whole: &mut dyn WholeSteps, batch: &mut Batch, known: &mut OnDevice) -> Result<Told, Error> {
+    let (workers, sizes) = (world.resource::<Workers>(), world.resource::<BlockSizes>());
+    let (morphologies, actions, observed) = (&world.resource::<Morphologies>().0, batch.num_actions, batch.num_obs);
+    let blocks = || sizes.iter().filter(|(_, envs)| !envs.is_empty());
+    // actions for joints that a robot lacks become zero, as in `apply_actions`
+    let mut rest = &mut batch.actions[..];
+    let mut tasks = Vec::new();
+    for ((morphology, envs), host) in blocks().zip(whole.hosts()) {
+        let (own, more) = rest.split_at_mut(envs.len() * actions);
+        rest = more;
+        tasks.push((own, host, &morphologies[usize::from(morphology.0)]));
+    }
+    workers.for_each(tasks.into_iter(), |(own, host, robot)| {
+        if robot.slots.len() < actions {
+            let mask = robot.action_mask(actions);
+            for row in own.chunks_exact_mut(actions) {
+                row.iter_mut().zip(&mask).filter(|(_, is_there)| !**is_there).for_each(|(action, _)| *action = 0.0);
+            }
+        }
+        host.actions.copy_from_slice(own);
+    });
+    let watched = world.resource::<BrokenStates>().watched();
+    let watched: Vec<bool> = blocks().map(|(morphology, _)| watched[usize::from(morphology.0)]).collect();
+    whole.step(&watched).map_err(|error| lost(&error))?;
+    known.steps += 1;
+    let Batch { observations, final_observations, rewards, terminated, truncated, has_final, .. } = batch;
+    let mut rest = (
+        (&mut observations[..], &mut final_observations[..], &mut rewards[..], &mut known.commands[..]),
+        (&mut terminated[..], &mut truncated[..], &mut has_final[..]),
+    );
+    let mut parts = Vec::new();
+    for ((morphology, envs), host) in blocks().zip(whole.hosts()) {
+        let ((o, f, r, c), (x, y, z)) = rest;
+        let n = envs.len();
+        let ((o, oo), (f, ff), (r, rr), (c, cc)) =
+            (o.split_at_mut(n * observed), f.split_at_mut(n * observed), r.split_at_mut(n), c.split_at_mut(3 * n));
+        let ((x, xx), (y, yy), (z, zz)) = (x.split_at_mut(n), y.split_at_mut(n), z.split_at_mut(n));
+        rest = ((oo, ff, rr, cc), (xx, yy, zz));
+        parts.push(Part {
+            morphology: usize::from(morphology.0),
+            first: envs.start,
+            host,
+            observations: o,
+            finals: f,
+            rewards: r,
+            commands: c,
+            flags: [x, y, z],
+            width: observed,
+        });
+    }
+    let ended = std::sync::Mutex::new(Vec::new());
+    workers.for_each(parts.into_iter(), |part| {
+        let own = part.copy();
+        if !own.is_empty() {
+            ended.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend(own);
+        }
+    });
+    let mut ended = ended.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+    ended.sort_by_key(|(_, env, _)| *env);
+    let mut broken = Vec::new();
+    for (block, ((morphology, _), watched)) in blocks().zip(watched).enumerate() {
+        let first = whole.hosts()[block].flags.iter().position(|flags| flags & flags::BROKEN != 0);
+        if let Some(robot) = first.filter(|_| watched) {
+            let (record, length) = whole.record(block, robot).map_err(|error| lost(&error))?;
+            broken.push((DivergenceRecord { morphology: usize::from(morphology.0), ..record }, length));
+        }
+    }
+    Ok((ended, broken))
+}
+
+impl Part<'_, '_> {
+    /// Copies the outcome of a control step; returns the episodes that the logs count.
+    fn copy(self) -> Vec<(usize, usize, Ended)> {
+        let Self { morphology, first, host, observations, finals, rewards, commands, flags: outcome, width } = self;
+        observations.copy_from_slice(host.observations);
+        rewards.copy_from_slice(host.rewards);
+        commands.copy_from_slice(host.commands);
+        let [terminated, truncated, has_final] = outcome;
+        let mut ended = Vec::new();
+        for (env, flags) in host.flags.iter().enumerate() {
+            terminated[env] = flags & flags::TERMINATED != 0;
+            truncated[env] = flags & flags::TRUNCATED != 0;
+            has_final[env] = flags & flags::HAS_FINAL != 0;
+            if has_final[env] {
+                let row = env * width..(env + 1) * width;
+                finals[row.clone()].copy_from_slice(&host.finals[row]);
+            }
+            if flags & flags::LOGGED != 0 {
+                ended.push((morphology, first + env, host.ended(env)));
+            }
+        }
+        ended
+    }
+}
+
+/// Brings all components up to date, after steps on the device.
+///
+/// # Errors
+/// A device that is lost; rows that are no blocks.
+pub(crate) fn leave_device(world: &mut World) -> Result<(), Error> {
+    faults::outcome::<(), ()>(world.run_system_cached(leave_robots))?;
+    faults::outcome::<(), ()>(world.run_system_cached(leave_envs))?;
+    measure_states(world)
+}
+
+/// Writes the components that the engine knows.
+fn leave_robots(
+    workers: Res<Workers>,
+    mut engine: ResMut<PhysicsEngine>,
+    mut robots: Blocks<RobotColumns, Robot>,
+    envs: Blocks<&'static EnvOrigin, Env>,
+) -> Result {
+    let rows =
+        robots.write()?.zip(envs.read()?).map(|_, (robots, origins)| RobotSlices::new(robots, origins)).collect();
+    if let Some(whole) = engine.0.whole_steps() {
+        whole.leave(&workers, rows).map_err(|error| lost(&error))?;
+    }
+    Ok(())
+}
+
+/// Components of envs that the device has changed.
+type ChangedColumns = (
+    &'static mut Episode,
+    &'static mut EnvRng,
+    &'static mut Command,
+    &'static mut EventTimers,
+    &'static mut EpisodeSums,
+    &'static mut CurriculumProgress,
+);
+
+/// Writes the other components.
+fn leave_envs(
+    workers: Res<Workers>,
+    morphologies: Res<Morphologies>,
+    mut known: ResMut<OnDevice>,
+    mut engine: ResMut<PhysicsEngine>,
+    mut robots: Blocks<(&'static mut Action, &'static mut JointTargets, &'static ContactForces), Robot>,
+    mut sensors: Blocks<&'static mut ContactSensor, ContactSensor>,
+    mut envs: Blocks<ChangedColumns, Env>,
+) -> Result {
+    let Some(whole) = engine.0.whole_steps() else { return Ok(()) };
+    let steps = std::mem::take(&mut known.steps);
+    let blocks = robots.write()?.zip(sensors.write()?).zip(envs.write()?).into_iter().zip(whole.hosts());
+    workers.for_each(blocks, |(Block { morphology, rows, .. }, host)| {
+        let ((robots, sensors), (episodes, rngs, commands, timers, sums, progress)) = rows;
+        let ((actions, targets, forces), feet) = (robots, &morphologies.get(morphology).feet);
+        for env in 0..actions.len() {
+            let rows = &host.rows;
+            rows.read(env, Column::Action, &mut actions[env].current);
+            rows.read(env, Column::Previous, &mut actions[env].previous);
+            let command = &mut commands[env];
+            let Command { velocity, heading, time_left, .. } = command;
+            rows.read(env, Column::Command, velocity.iter_mut().chain([heading, time_left]));
+            rows.read(env, Column::Timer, &mut timers[env].0);
+            let sum = &mut sums[env];
+            rows.read(env, Column::Sum, &mut sum.terms);
+            let mut totals = [0.0; 6];
+            rows.read(env, Column::Total, &mut totals);
+            set_totals(sum, totals);
+            sum.steps = rows.word(env, Word::Steps);
+            let contact = &mut sensors[env];
+            let times = [
+                &mut contact.contact_time,
+                &mut contact.air_time,
+                &mut contact.last_contact_time,
+                &mut contact.last_air_time,
+            ];
+            rows.read(env, Column::Time, times.into_iter().flatten());
+            contact.read_peaks(&forces[env], feet);
+            let state = (rows.wide(env, Word::State), rows.wide(env, Word::Increment));
+            rngs[env].set_parts(state);
+            progress[env].steps += steps;
+            let bits = rows.word(env, Word::Flags);
+            let has = |bit: u32| bits & bit != 0;
+            episodes[env] = Episode {
+                length: rows.word(env, Word::Length),
+                lived: rows.word(env, Word::Lived),
+                terminated: has(flags::TERMINATED),
+                truncated: has(flags::TRUNCATED),
+                causes: rows.word(env, Word::Causes),
+                needs_reset: has(flags::NEEDS_RESET),
+                invalid: has(flags::INVALID),
+                logged: has(flags::LOGGED),
+                fresh: has(flags::FRESH),
+            };
+            command.holds_heading = has(flags::HOLDS_HEADING);
+            command.standing = has(flags::STANDING);
+            command.pinned = has(flags::PINNED);
+            targets[env].fresh = has(flags::FRESH_TARGETS);
+        }
+    });
+    Ok(())
+}

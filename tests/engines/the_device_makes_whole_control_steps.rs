@@ -1,0 +1,374 @@
+//! The device makes whole control steps with the bits of the systems: actions, commands, pushes,
+//! sensors, ends, rewards, resets and observations. The host stands for the card.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use bevy_app::App;
+use bevy_ecs::prelude::*;
+use polypod::components::{Body, EnvId, LinkForce, LinkForces};
+use polypod::dump::Dump;
+use polypod::engine::OnDevice;
+use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, add_engine};
+use polypod::{Autoreset, Sim, SimOptions};
+use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Exchange, Shape, TaskTables};
+use polypod_cuda_host::Host;
+
+use crate::common::{ROBOTS, busy, ended, size, step};
+
+fn on(mut options: SimOptions, open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Sim {
+    options.overrides.push("physics.engine=cuda".into());
+    let mut app = App::empty();
+    app.insert_resource(options).add_plugins(PolypodPlugins);
+    add_engine(&mut app, "cuda", OnDevice::new(open));
+    let mut sim = Sim::from_app(app).unwrap();
+    sim.stay_on_device(true);
+    sim
+}
+
+fn on_host(options: SimOptions) -> Sim {
+    on(options, || Ok(Arc::new(Host)))
+}
+
+fn bits(numbers: &[f32]) -> Vec<u32> {
+    numbers.iter().map(|x| x.to_bits()).collect()
+}
+
+/// The batches are the same, to the last bit.
+fn assert_same_batch(cpu: &Sim, device: &Sim, what: &str) {
+    let (one, other) = (cpu.batch(), device.batch());
+    let width = one.num_obs;
+    for env in 0..one.num_envs {
+        let row = env * width..(env + 1) * width;
+        let of = |batch: &polypod::batch::Batch| {
+            (
+                bits(&batch.observations[row.clone()]),
+                batch.rewards[env].to_bits(),
+                [batch.terminated[env], batch.truncated[env], batch.has_final[env]],
+                bits(&batch.final_observations[row.clone()]),
+            )
+        };
+        assert_eq!(of(one), of(other), "{what}, env {env}");
+    }
+    assert_eq!(bits(&one.actions), bits(&other.actions), "{what}: actions");
+}
+
+/// Both make the same steps, to the last bit of their snapshots. From time to time somebody looks,
+/// which brings the state back to the host.
+fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+    assert_eq!(device.lacks_on_device(), None, "{what}");
+    let mut all_ended = 0;
+    for t in 0..steps {
+        step(&mut cpu, t);
+        step(&mut device, t);
+        all_ended += ended(&cpu);
+        assert_same_batch(&cpu, &device, &format!("{what}, step {t}"));
+        let mut commands = [vec![0.0; 3 * cpu.num_envs()], vec![0.0; 3 * cpu.num_envs()]];
+        cpu.write_commands(&mut commands[0]);
+        device.write_commands(&mut commands[1]);
+        assert_eq!(bits(&commands[0]), bits(&commands[1]), "{what}, step {t}: commands");
+        if t % 31 == 30 {
+            assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "{what}, step {t}: a component differs");
+        }
+    }
+    assert!(all_ended >= least_ended, "{what}: {all_ended} episodes ended");
+    assert_eq!(cpu.take_log(), device.take_log(), "{what}");
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "{what}: a component differs");
+    let alone = device.steps_on_device();
+    assert!(alone >= steps as u64 * 8 / 10, "{what}: {alone} of {steps} steps");
+}
+
+#[test]
+fn of_a_flat_task_with_resets_and_pushes() {
+    let mut options = busy(&ROBOTS, 70);
+    options.threads = Some(2);
+    compare(options, size(140, 600), 100, "flat");
+}
+
+#[test]
+fn of_all_robots_of_the_legged_task() {
+    let mut options = SimOptions { seed: 3, threads: Some(1), ..SimOptions::new("velocity_flat_legged", 72) };
+    options.overrides.push("sim.episode_length_s=0.8".into());
+    compare(options, size(100, 400), 60, "legged");
+}
+
+#[test]
+fn with_delays_wrenches_histories_and_other_commands() {
+    let mut options = busy(&["unitree_go2", "spot"], 40);
+    options.overrides.extend(
+        [
+            "events.action_delay.enabled=true",
+            "events.action_delay.delay_range=[0, 6]",
+            "events.base_external_force_torque.enabled=true",
+            "events.base_external_force_torque.force_range=[-9.0, 9.0]",
+            "commands.base_velocity.rel_heading_envs=0.4",
+            "commands.base_velocity.rel_turning_envs=0.3",
+            "commands.base_velocity.rel_sideways_envs=0.3",
+            "observations.policy=[{term=\"base_ang_vel\", noise=0.2, history_length=3, clip=[-0.5, 0.5], scale=2.0}, \
+             {term=\"joint_vel_rel\", noise=1.5, history_length=2}, {term=\"last_action\"}]",
+            "events.reset_base={mode=\"reset\", x=[-0.5, 0.5], y=[-0.5, 0.5], yaw=[-3.0, 3.0], roll=[-0.3, 0.3]}",
+        ]
+        .map(String::from),
+    );
+    compare(options, 100, 60, "delays");
+}
+
+#[test]
+fn with_terms_that_few_tasks_use() {
+    let mut options = busy(&["unitree_go2", "unitree_a1"], 40);
+    let rewards = [
+        "scaled_torques_l2={weight=-5.0}",
+        "scaled_acc_l2={weight=-0.003}",
+        "joint_vel_l2={weight=-0.1, joints=[\"*_KFE\"], mean=true}",
+        "stand_still_joint_deviation_l1={weight=-0.4, command_threshold=0.5}",
+        "joint_deviation_l1={weight=-0.2, joints=[\"*_HAA\"]}",
+        "joint_pos_limits={weight=-1.0}",
+        "base_height_l2={weight=-2.0, target_height=0.3}",
+        "feet_slide={weight=-0.2}",
+        "desired_contacts={weight=-0.5}",
+        "gait_symmetry={weight=-3.0}",
+        "is_alive={weight=1.0}",
+        "action_rate_l2={weight=-0.01, mean=true}",
+    ];
+    options.overrides.extend(rewards.map(|reward| format!("rewards.unitree.{reward}")));
+    options.overrides.extend(
+        [
+            "events.reset_joints_within_limits_range={mode=\"reset\", position_range=[0.3, 0.6]}",
+            "events.base_external_force_torque={mode=\"interval\", enabled=true, interval_range_s=[0.1, 0.3]}",
+            "terminations.root_height_below_minimum={minimum_height=0.1}",
+            "terminations.bad_orientation={limit_angle=0.9}",
+            "terminations.illegal_contact={threshold=1.0, bodies=[\"thigh\"]}",
+        ]
+        .map(String::from),
+    );
+    compare(options, 100, 60, "terms");
+}
+
+#[test]
+fn whatever_resets_the_envs() {
+    for autoreset in [Autoreset::NextStep, Autoreset::Disabled] {
+        let options = SimOptions { autoreset, ..busy(&["unitree_a1"], 40) };
+        let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+        for t in 0..80 {
+            for sim in [&mut cpu, &mut device] {
+                step(sim, t);
+                let batch = sim.batch();
+                let over = batch.terminated.iter().zip(&batch.truncated).map(|(failed, late)| failed | late);
+                let over: Vec<bool> = over.collect();
+                if autoreset == Autoreset::Disabled && t % 9 == 8 {
+                    sim.reset(None, Some(&over)).unwrap();
+                }
+            }
+            assert_same_batch(&cpu, &device, &format!("{autoreset:?}, step {t}"));
+        }
+        assert!(device.steps_on_device() > 40);
+        assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "{autoreset:?}");
+    }
+}
+
+#[test]
+fn between_changes_that_a_caller_makes() {
+    let options = busy(&["unitree_a1"], 34);
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..60 {
+        for sim in [&mut cpu, &mut device] {
+            if t == 10 {
+                let world = sim.world_mut();
+                let mut bodies = world.query::<(&EnvId, &mut Body)>();
+                bodies.iter_mut(world).for_each(|(env, mut body)| body.0.mass[1] *= 1.0 + 0.01 * env.0 as f32);
+            }
+            if t == 20 {
+                let force = LinkForce {
+                    link: 3,
+                    in_world: true,
+                    point: [0.01, 0.0, -0.05],
+                    force: [8.0, -3.0, 5.0],
+                    torque: [0.1, 0.2, -0.3],
+                    steps: 9,
+                };
+                let world = sim.world_mut();
+                world.query::<&mut LinkForces>().iter_mut(world).for_each(|mut forces| forces.0 = vec![force]);
+            }
+            if t == 35 {
+                sim.set_commands(Some(&[0.4, 0.1, -0.2].repeat(34))).unwrap();
+                sim.set_reward_weight(0, "lin_vel_z_l2", -3.0).unwrap();
+            }
+            if t == 45 {
+                sim.reset(Some(9), None).unwrap();
+            }
+            step(sim, t);
+        }
+        assert_same_batch(&cpu, &device, &format!("step {t}"));
+    }
+    assert!(device.steps_on_device() > 25);
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+}
+
+#[test]
+fn only_where_all_that_a_task_uses_has_a_form_there() {
+    let lacks = |task: &str, overrides: &[&str]| {
+        let mut options = SimOptions { threads: Some(1), ..SimOptions::new(task, 24) };
+        options.overrides.extend(overrides.iter().map(|line| (*line).to_owned()));
+        let mut sim = on_host(options);
+        for t in 0..4 {
+            step(&mut sim, t);
+        }
+        assert_eq!(sim.steps_on_device(), 0, "{task}");
+        sim.lacks_on_device().unwrap()
+    };
+    assert_eq!(lacks("velocity_rough", &[]), "uneven ground");
+    let gains = ["events.randomize_actuator_gains={mode=\"reset\", enabled=true}"];
+    assert_eq!(lacks("velocity_flat", &gains), "an event that changes bodies at a reset");
+    let image = "observations.policy=[{term=\"morphology\"}]";
+    assert_eq!(lacks("velocity_flat", &[image]), "the observation `morphology`");
+    // a user's system sees the components of every step
+    let mut app = App::empty();
+    let options = SimOptions { overrides: vec!["physics.engine=cuda".into()], ..SimOptions::new("velocity_flat", 16) };
+    app.insert_resource(options).add_plugins(PolypodPlugins);
+    add_engine(&mut app, "cuda", OnDevice::new(|| Ok(Arc::new(Host))));
+    app.add_systems(ControlStep, (|| {}).in_set(PipelineSet::Mirror));
+    let mut sim = Sim::from_app(app).unwrap();
+    assert_eq!(sim.lacks_on_device().as_deref(), Some("systems of a plugin"));
+}
+
+#[test]
+fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
+    let dir = |side: &str| {
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("whole_{side}_{}", std::process::id()));
+        let _ = fs::remove_dir_all(&dir);
+        dir
+    };
+    let (on_cpu, on_device) = (dir("cpu"), dir("device"));
+    let mut options = busy(&["unitree_a1", "spot"], 40);
+    // a speed that robots reach
+    options.overrides.push("terminations.illegal_state.max_lin_vel=1.4".into());
+    let mut cpu = Sim::new(&SimOptions { dump_dir: Some(on_cpu.clone()), ..options.clone() }).unwrap();
+    let mut device = on_host(SimOptions { dump_dir: Some(on_device.clone()), ..options });
+    for t in 0..40 {
+        step(&mut cpu, t);
+        step(&mut device, t);
+        assert_same_batch(&cpu, &device, &format!("step {t}"));
+    }
+    let states = |dir: &Path| {
+        let mut files: Vec<_> = fs::read_dir(dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        let state = |file: &PathBuf| format!("{:?}", Dump::read(file).unwrap().state);
+        files.iter().map(|file| (file.file_name().unwrap().to_owned(), state(file))).collect::<Vec<_>>()
+    };
+    let (expected, found) = (states(&on_cpu), states(&on_device));
+    assert_eq!(expected.len(), 2);
+    assert_eq!(expected, found);
+    assert_eq!(device.steps_on_device(), 38);
+}
+
+/// A host that is lost after some control steps.
+struct Lost(Arc<AtomicUsize>);
+
+struct LostBlock(Box<dyn DeviceBlock>, Arc<AtomicUsize>);
+
+impl Device for Lost {
+    fn name(&self) -> &str {
+        "lost"
+    }
+
+    fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
+        Ok(Box::new(LostBlock(Host.allocate(shape)?, self.0.clone())))
+    }
+}
+
+impl DeviceBlock for LostBlock {
+    fn shape(&self) -> &Shape {
+        self.0.shape()
+    }
+
+    fn exchange(&mut self) -> Exchange<'_> {
+        self.0.exchange()
+    }
+
+    fn set_parameters(
+        &mut self,
+        common: &[f32],
+        own: u32,
+        tiles: &[f32],
+        changed: &[usize],
+    ) -> Result<(), DeviceError> {
+        self.0.set_parameters(common, own, tiles, changed)
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        self.0.start()
+    }
+
+    fn contacts_if_done(&mut self) -> Result<Option<usize>, DeviceError> {
+        self.0.contacts_if_done()
+    }
+
+    fn envs(&mut self) -> Option<&mut dyn EnvBlock> {
+        Some(self)
+    }
+}
+
+impl LostBlock {
+    fn envs_of_host(&mut self) -> Result<&mut dyn EnvBlock, DeviceError> {
+        let lost = DeviceError::Call { call: "step", text: "lost".into() };
+        self.0.envs().filter(|_| self.1.load(Ordering::Relaxed) > 0).ok_or(lost)
+    }
+}
+
+impl EnvBlock for LostBlock {
+    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError> {
+        self.envs_of_host()?.place(task)
+    }
+
+    fn host(&mut self) -> Option<EnvHost<'_>> {
+        self.0.envs()?.host()
+    }
+
+    fn watch(&mut self, watched: bool) -> Result<(), DeviceError> {
+        self.envs_of_host()?.watch(watched)
+    }
+
+    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError> {
+        self.envs_of_host()?.kept(robot)
+    }
+
+    fn upload(&mut self) -> Result<(), DeviceError> {
+        self.envs_of_host()?.upload()
+    }
+
+    fn download(&mut self) -> Result<(), DeviceError> {
+        self.envs_of_host()?.download()
+    }
+
+    fn start(&mut self) -> Result<(), DeviceError> {
+        let _ = self.1.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
+        self.envs_of_host()?.start()
+    }
+}
+
+#[test]
+fn a_card_that_is_lost_with_the_state_is_an_error_in_each_step() {
+    let device = Arc::new(AtomicUsize::new(6));
+    let mut sim = on(busy(&["unitree_a1"], 20), move || Ok(Arc::new(Lost(device.clone()))));
+    let saved = sim.snapshot().unwrap();
+    // two steps on the host, and five on the card
+    for t in 0..7 {
+        step(&mut sim, t);
+    }
+    let actions = vec![0.0; sim.batch().actions.len()];
+    for _ in 0..2 {
+        let error = sim.step(&actions).unwrap_err().to_string();
+        assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
+    }
+    // a look at the states that are gone mends nothing, a snapshot does
+    sim.world_mut();
+    for _ in 0..2 {
+        let error = sim.step(&actions).unwrap_err().to_string();
+        assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
+    }
+    sim.restore(&saved).unwrap();
+    sim.step(&actions).unwrap();
+}
