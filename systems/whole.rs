@@ -262,7 +262,7 @@ struct Part<'a, 'b> {
     width: usize,
 }
 
-/// What a control step tells beyond the batch: the episodes that the logs count, each with its
+/// Outcome of a control step beyond the batch: the episodes that the logs count, each with its
 /// morphology and env, and the records of broken states.
 type Told = (Vec<(usize, usize, Ended)>, Vec<(DivergenceRecord, u32)>);
 

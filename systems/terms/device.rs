@@ -1,4 +1,4 @@
-//! A task as a device has it, where all that the task uses has a form there.
+//! Tables of a task for a device, where all that the task uses has a form there.
 
 use super::compile::{CompiledTask, ILLEGAL_STATE};
 use super::registry::Registry;
@@ -14,7 +14,7 @@ impl CompiledTask {
     /// The tables of the task for a robot, the one at place `index`.
     ///
     /// # Errors
-    /// What has no form on the device.
+    /// The first thing that has no form on the device.
     pub(in crate::systems) fn on_device(
         &self,
         registry: &Registry,
@@ -101,7 +101,10 @@ impl CompiledTask {
         }))
     }
 
-    /// What of the task, apart from its terms, has no form on the device.
+    /// Checks the task apart from its terms.
+    ///
+    /// # Errors
+    /// The first thing that has no form on the device.
     fn check_device(&self, ground: &Ground) -> Result<(), String> {
         let sensors = &self.config.sensors;
         let lacks = [
@@ -174,8 +177,7 @@ mod tests {
     fn the_text_of_the_device_has_the_terms_that_say_so_and_no_others() {
         let registry = Registry::builtin();
         for kind in FormKind::ALL {
-            let names: Vec<&str> =
-                registry.with_forms().filter(|(of, _)| *of == kind).map(|(_, name)| name).collect();
+            let names: Vec<&str> = registry.with_forms().filter(|(of, _)| *of == kind).map(|(_, name)| name).collect();
             for name in &names {
                 assert!(Form::new(kind, name, Vec::new(), None).is_some(), "{kind:?} {name}");
             }

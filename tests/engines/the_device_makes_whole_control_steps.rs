@@ -113,7 +113,7 @@ fn with_delays_wrenches_histories_and_other_commands() {
         ]
         .map(String::from),
     );
-    compare(options, 100, 60, "delays");
+    compare(options, 100, 30, "delays");
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn with_terms_that_few_tasks_use() {
         ]
         .map(String::from),
     );
-    compare(options, 100, 60, "terms");
+    compare(options, 100, 30, "terms");
 }
 
 #[test]
@@ -229,7 +229,7 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
     let options = SimOptions { overrides: vec!["physics.engine=cuda".into()], ..SimOptions::new("velocity_flat", 16) };
     app.insert_resource(options).add_plugins(PolypodPlugins);
     add_engine(&mut app, "cuda", OnDevice::new(|| Ok(Arc::new(Host))));
-    app.add_systems(ControlStep, (|| {}).in_set(PipelineSet::Mirror));
+    app.add_systems(ControlStep, (|| {}).in_set(PipelineSet::Reward));
     let mut sim = Sim::from_app(app).unwrap();
     assert_eq!(sim.lacks_on_device().as_deref(), Some("systems of a plugin"));
 }
@@ -244,7 +244,8 @@ fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
     let (on_cpu, on_device) = (dir("cpu"), dir("device"));
     let mut options = busy(&["unitree_a1", "spot"], 40);
     // a speed that robots reach
-    options.overrides.push("terminations.illegal_state.max_lin_vel=1.4".into());
+    let limits = ["terminations.illegal_state.max_lin_vel=1.2", "events.push_robot.velocity_range=[-0.9, 0.9]"];
+    options.overrides.extend(limits.map(String::from));
     let mut cpu = Sim::new(&SimOptions { dump_dir: Some(on_cpu.clone()), ..options.clone() }).unwrap();
     let mut device = on_host(SimOptions { dump_dir: Some(on_device.clone()), ..options });
     for t in 0..40 {

@@ -12,10 +12,10 @@ typedef struct {
     float *actions;            /* rows: actions, observations, those of episodes that have ended */
     float *observations;
     float *finals;
+    float *kept;               /* rows of robots that are watched; null if none is */
     const float *host_actions; /* where the host has these rows, and what else it reads */
     float *host_observations;
     float *host_finals;
-    float *kept;               /* rows of robots that are watched; null if none is */
     float *rewards;
     float *commands;
     unsigned *flags;

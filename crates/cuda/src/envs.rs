@@ -24,7 +24,7 @@ pub mod flags {
         NEEDS_RESET,
         /// The state is broken.
         INVALID,
-        /// The logs have counted the episode; of a control step: the episode is to be counted.
+        /// The logs have counted the episode; in the flags of a control step: they count it now.
         LOGGED,
         /// The episode has just begun.
         FRESH,
@@ -36,9 +36,9 @@ pub mod flags {
         STANDING,
         /// A caller has set the command.
         PINNED,
-        /// Of a control step: the state after the physics is broken; of robots that are watched.
+        /// The physics of the control step broke the state, of a robot that is watched.
         BROKEN,
-        /// Of a control step: there is a last observation of an episode that ended.
+        /// There is a last observation of an episode that ended in the control step.
         HAS_FINAL,
     }
 }
@@ -79,7 +79,7 @@ impl FormKind {
     }
 }
 
-/// A term with its parameters, as the device has it.
+/// A term with its parameters in the device's form.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Form {
     term: usize,

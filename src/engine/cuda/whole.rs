@@ -53,7 +53,7 @@ pub trait WholeSteps {
     fn leave(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>) -> Result<(), DeviceError>;
 }
 
-/// What the engine says if its device does not know envs.
+/// The error of a device that does not know envs.
 fn no_envs() -> DeviceError {
     DeviceError::Call { call: "envs", text: "the device makes no whole control steps".into() }
 }

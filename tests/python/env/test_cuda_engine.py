@@ -51,7 +51,7 @@ def check(
 ) -> None:
     """Compares observations and rewards in each step, and the snapshots at the end.
 
-    With `stay` the card makes the whole control steps of a task of which all parts have a form there.
+    With `stay` the card makes whole control steps, where all parts of the task have a form there.
     """
     cpu, gpu = pair(task, num_envs, overrides, **options)
     gpu.stay_on_device(stay)
