@@ -2,6 +2,7 @@
 
 use super::terms::{Block, NoParams, Per, Registry, TermKind, TermSpec};
 use super::view::RobotView;
+use crate::engine::device::FormKind;
 
 const ONE_NUMBER: &[Block] = &[Block::new(Per::Body, 1)];
 const TWO_NUMBERS: &[Block] = &[Block::new(Per::Body, 2)];
@@ -31,6 +32,12 @@ pub(super) fn register(registry: &mut Registry) {
     registry.foot_observation("feet_height", spec.with_magnitude(0.1), |_: &NoParams, r, out| {
         out.copy_from_slice(&r.feet.height);
     });
+    for name in ["contact_friction", "base_mass_offset", "base_com_offset"] {
+        registry.depends_on_body(name);
+    }
+    for name in ["feet_contact_force", "feet_air_time", "feet_height"] {
+        registry.on_device(FormKind::Observation, name, |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    }
 }
 
 fn feet_contact_force(_: &NoParams, r: &RobotView, out: &mut [f32]) {

@@ -8,8 +8,9 @@ use bevy_ecs::prelude::*;
 use smallvec::SmallVec;
 
 use super::physics::{PhysicsEngine, upload_bodies};
-use super::sense::measure_states;
+use super::sense::{describe_present_bodies, measure_states};
 use super::terms::{CompiledTask, Registry};
+use super::views::ViewParam;
 use super::{BrokenStates, ControlStep, Logs, PolypodPlugins, ResetEnvs, faults};
 use crate::batch::Batch;
 use crate::blocks::{Block, BlockSizes, Blocks};
@@ -79,9 +80,28 @@ fn tables(world: &World) -> Result<Vec<TaskTables>, String> {
     robots.map(|(index, (robot, _))| task.on_device(registry, (index, robot), ground, autoreset, num_actions)).collect()
 }
 
-/// Tables that [`enter`] takes over.
+/// Tables that [`enter`] takes over, and the numbers of each env's body that observations show.
 #[derive(Resource)]
-struct NewTables(Vec<TaskTables>);
+struct NewTables(Vec<TaskTables>, Vec<Vec<f32>>);
+
+/// Writes the numbers of bodies.
+fn describe_bodies(
+    task: Res<CompiledTask>,
+    registry: Res<Registry>,
+    workers: Res<Workers>,
+    views: ViewParam,
+    mut new: ResMut<NewTables>,
+) -> Result {
+    let mut envs = vec![Vec::new(); views.views(task.step_dt)?.into_iter().map(|block| block.envs.len()).sum()];
+    let blocks = views.views(task.step_dt)?.zip_envs(&mut envs[..]);
+    blocks.for_each_chunk(&workers, |Block { rows: (views, out), .. }| {
+        for (row, out) in out.iter_mut().enumerate() {
+            task.write_kept(&registry, &views.get(row), out);
+        }
+    });
+    new.1 = envs;
+    Ok(())
+}
 
 /// Hands all envs over to the device. Returns whether it could: see [`lacks_on_device`].
 ///
@@ -92,9 +112,13 @@ pub(crate) fn enter_device(world: &mut World) -> Result<bool, Error> {
         return Ok(false);
     }
     let Ok(tables) = tables(world) else { return Ok(false) };
+    if !describe_present_bodies(world)? {
+        return Ok(false);
+    }
     faults::outcome::<(), ()>(world.run_system_cached(upload_bodies))?;
-    world.insert_resource(NewTables(tables));
+    world.insert_resource(NewTables(tables, Vec::new()));
     world.init_resource::<OnDevice>();
+    faults::outcome::<(), ()>(world.run_system_cached(describe_bodies))?;
     let entered = faults::outcome(world.run_system_cached(enter));
     world.remove_resource::<NewTables>();
     entered
@@ -139,9 +163,10 @@ fn enter(
     for ((Block { envs, rows: (robots, of_envs), .. }, host), fresh) in blocks {
         known.before.extend(of_envs.5.iter().map(|progress| progress.steps));
         known.commands.extend(of_envs.2.iter().flat_map(|command| command.velocity));
-        tasks.push((robots, of_envs, host, fresh, &batch.observations[envs.start * width..envs.end * width]));
+        let observations = &batch.observations[envs.start * width..envs.end * width];
+        tasks.push((robots, of_envs, host, fresh, observations, &new.1[envs]));
     }
-    workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, observations)| {
+    workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, observations, kept)| {
         host.observations.copy_from_slice(observations);
         let ((actions, stances, bodies), sensors) = robots;
         let (episodes, rngs, commands, timers, sums, ..) = of_envs;
@@ -161,6 +186,7 @@ fn enter(
             let stance = &stances[env];
             rows.write(env, Column::Default, stance.default_position.iter());
             rows.write(env, Column::Stance, &[stance.action_scale, stance.spawn_height, bodies[env].0.total_mass()]);
+            rows.write(env, Column::Kept, &kept[env]);
             let (state, increment) = rngs[env].parts();
             rows.write_wide(env, Word::State, state);
             rows.write_wide(env, Word::Increment, increment);

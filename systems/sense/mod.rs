@@ -206,6 +206,25 @@ pub(super) fn measure_states(world: &mut World) -> Result<(), Error> {
     measure_anew::<Imu>(world)
 }
 
+/// Whether all descriptions of joints are those of the present bodies: a body that a caller changes
+/// in the middle of an episode is described when the next one begins.
+pub(super) fn describe_present_bodies(world: &mut World) -> Result<bool, Error> {
+    let mut all = world.query::<(Entity, &JointDescriptors)>();
+    let before: Vec<(Entity, JointDescriptors)> =
+        all.iter(world).map(|(entity, numbers)| (entity, numbers.clone())).collect();
+    measure_anew::<JointDescriptors>(world)?;
+    let mut are_same = true;
+    for (entity, numbers) in before {
+        if let Some(mut now) = world.get_mut::<JointDescriptors>(entity)
+            && now.numbers.iter().zip(&numbers.numbers).any(|(now, before)| now.to_bits() != before.to_bits())
+        {
+            are_same = false;
+            *now = numbers;
+        }
+    }
+    Ok(are_same)
+}
+
 /// Begins the episodes of the robots that have just been reset.
 fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
     Ok(sensing.run(Occasion::Begin)?)

@@ -1,7 +1,9 @@
 //! Tables of a task for a device, where all that the task uses has a form there.
 
-use super::compile::{CompiledTask, ILLEGAL_STATE};
+use super::super::view::RobotView;
+use super::compile::{CompiledTask, ILLEGAL_STATE, ObservationTerm};
 use super::registry::Registry;
+use super::spec::TermKind;
 use crate::config::{EventMode, JointPositionMode};
 use crate::engine::device::{
     AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables,
@@ -35,20 +37,29 @@ impl CompiledTask {
             ends.push((term.time_out, find(FormKind::End, "termination", name, params)?));
         }
         let mut observations = Vec::new();
-        let mut column = 0;
+        let (mut column, mut kept) = (0, 0);
         let named = config.observations.groups().flat_map(|(_, terms)| terms);
         for (named, term) in named.zip(&self.observations) {
-            if term.error > 0.0 || term.is_external {
-                return Err(format!("an error or a caller's numbers of the observation `{}`", term.name));
+            if term.is_external || (term.error > 0.0 && term.noise > 0.0) {
+                return Err(format!("the observation `{}`", term.name));
             }
+            let form = if registry.is_of_body(&named.term) && term.write.is_some() {
+                let at = kept as i32;
+                kept += self.own_numbers(term, robot);
+                let sort = if term.spec.kind == TermKind::PerJoint { "kept_of_joints" } else { "kept" };
+                Form::new(FormKind::Observation, sort, Vec::new(), Some(vec![at])).ok_or("numbers of a body")?
+            } else {
+                find(FormKind::Observation, "observation", &named.term, &named.params)?
+            };
             observations.push(ObservationForm {
-                form: find(FormKind::Observation, "observation", &named.term, &named.params)?,
+                form,
                 column,
                 size: term.size / term.history,
                 memory: term.history,
                 noise: term.noise,
                 clip: term.clip,
                 scale: term.scale,
+                error: term.error,
             });
             column += term.size;
         }
@@ -63,6 +74,8 @@ impl CompiledTask {
             widths: [num_actions, column],
             joints: robot.topology.num_joints(),
             feet: robot.feet.clone(),
+            foot_columns: robot.foot_columns.clone(),
+            kept,
             groups: robot.body_groups.iter().map(|group| *group as i32).collect(),
             autoreset: match autoreset {
                 Autoreset::SameStep => AutoresetForm::SameStep,
@@ -99,6 +112,23 @@ impl CompiledTask {
             rewards,
             observations,
         }))
+    }
+
+    /// Numbers of an observation in one control step that are a robot's own.
+    fn own_numbers(&self, term: &ObservationTerm, robot: &MorphologyModel) -> usize {
+        let size = term.size / term.history;
+        if term.spec.kind == TermKind::PerJoint { size / self.num_joints * robot.slots.len() } else { size }
+    }
+
+    /// Writes the numbers of a robot's body that observations show, as the device keeps them.
+    pub(in crate::systems) fn write_kept(&self, registry: &Registry, view: &RobotView, out: &mut Vec<f32>) {
+        for term in self.observations.iter().filter(|term| registry.is_of_body(&term.name)) {
+            if let Some(write) = &term.write {
+                let first = out.len();
+                out.resize(first + self.own_numbers(term, view.morphology), 0.0);
+                write(view, &mut out[first..]);
+            }
+        }
     }
 
     /// Checks the task apart from its terms.
@@ -181,7 +211,9 @@ mod tests {
             for name in &names {
                 assert!(Form::new(kind, name, Vec::new(), None).is_some(), "{kind:?} {name}");
             }
-            assert_eq!(names.len(), kind.count(), "{kind:?}");
+            // numbers of bodies have two forms that no term has to itself
+            let common = if kind == FormKind::Observation { 2 } else { 0 };
+            assert_eq!(names.len() + common, kind.count(), "{kind:?}");
         }
     }
 }

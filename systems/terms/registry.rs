@@ -1,6 +1,6 @@
 //! The registry of all terms that tasks may name, with their builders.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use bevy_ecs::prelude::Resource;
 use serde::Deserialize;
@@ -62,6 +62,8 @@ pub struct Registry {
     pub(super) needs: BTreeMap<&'static str, Vec<&'static str>>,
     /// Forms on a device.
     forms: BTreeMap<(FormKind, &'static str), FormBuilder>,
+    /// Observations that change with the robot's body alone.
+    of_bodies: BTreeSet<&'static str>,
 }
 
 /// A kind of command, and how it is made; the velocity has a place of its own in a task.
@@ -104,6 +106,16 @@ impl Registry {
             Form::new(kind, name, numbers, integers)
         });
         self.forms.insert((kind, name), build);
+    }
+
+    /// Says that an observation changes with the robot's body alone: a device need not compute it.
+    pub(in crate::systems) fn depends_on_body(&mut self, name: &'static str) {
+        self.of_bodies.insert(name);
+    }
+
+    /// Whether an observation changes with the robot's body alone.
+    pub(in crate::systems) fn is_of_body(&self, name: &str) -> bool {
+        self.of_bodies.contains(name)
     }
 
     /// Terms that have a form on the device.
@@ -234,6 +246,7 @@ impl Registry {
         });
         let size: SizeFn = Box::new(move |task, _| size(task));
         self.forms.remove(&(FormKind::Observation, name));
+        self.of_bodies.remove(name);
         self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 
@@ -254,6 +267,7 @@ impl Registry {
             Ok(BuiltObservation { offset, write })
         });
         self.forms.remove(&(FormKind::Observation, name));
+        self.of_bodies.remove(name);
         let registered = RegisteredObservation { spec, size: Box::new(size), build, is_on: |_, _| true };
         self.observations.insert(name, registered);
     }
@@ -273,6 +287,7 @@ impl Registry {
         });
         let size: SizeFn = Box::new(move |_, _| Ok(size));
         self.forms.remove(&(FormKind::Observation, name));
+        self.of_bodies.remove(name);
         self.observations.insert(name, RegisteredObservation { spec, size, build, is_on });
     }
 

@@ -96,6 +96,46 @@ fn of_all_robots_of_the_legged_task() {
 }
 
 #[test]
+fn of_bodies_that_describe_themselves_joint_by_joint() {
+    let options = |task: &str| {
+        let overrides = ["sim.episode_length_s=0.8", "events.push_robot.interval_range_s=[0.2, 0.4]"];
+        SimOptions {
+            seed: 5,
+            threads: Some(1),
+            overrides: overrides.map(String::from).to_vec(),
+            ..SimOptions::new(task, 48)
+        }
+    };
+    compare(options("velocity_flat_any_legged"), 80, 40, "any legged");
+    compare(options("velocity_flat_universal"), 80, 40, "universal");
+    let mut with_error = options("velocity_flat_joints");
+    let joints = "observations.policy=[{term=\"joint_descriptors\", error=0.1}, {term=\"morphology\"}, \
+                  {term=\"feet_height\", noise=0.02}, {term=\"base_com_offset\"}, {term=\"base_mass_offset\"}]";
+    with_error.overrides.push(joints.into());
+    compare(with_error, 60, 30, "joints");
+}
+
+#[test]
+fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
+    let mut options = SimOptions { seed: 5, threads: Some(1), ..SimOptions::new("velocity_flat_joints", 24) };
+    options.overrides.push("sim.episode_length_s=1.0".into());
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..120 {
+        for sim in [&mut cpu, &mut device] {
+            if t == 20 {
+                let world = sim.world_mut();
+                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.5);
+            }
+            step(sim, t);
+        }
+        assert_same_batch(&cpu, &device, &format!("step {t}"));
+    }
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+    // not before all episodes have begun with these bodies
+    assert!((40..=90).contains(&device.steps_on_device()), "{}", device.steps_on_device());
+}
+
+#[test]
 fn with_delays_wrenches_histories_and_other_commands() {
     let mut options = busy(&["unitree_go2", "spot"], 40);
     options.overrides.extend(
@@ -222,8 +262,8 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
     assert_eq!(lacks("velocity_rough", &[]), "uneven ground");
     let gains = ["events.randomize_actuator_gains={mode=\"reset\", enabled=true}"];
     assert_eq!(lacks("velocity_flat", &gains), "an event that changes bodies at a reset");
-    let image = "observations.policy=[{term=\"morphology\"}]";
-    assert_eq!(lacks("velocity_flat", &[image]), "the observation `morphology`");
+    let pose = ["commands.pose={}", "observations.policy=[{term=\"pose_commands\"}]"];
+    assert_eq!(lacks("velocity_flat", &pose), "a command other than the velocity");
     // a user's system sees the components of every step
     let mut app = App::empty();
     let options = SimOptions { overrides: vec!["physics.engine=cuda".into()], ..SimOptions::new("velocity_flat", 16) };

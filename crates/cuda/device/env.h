@@ -547,6 +547,11 @@ FN float observed(const Env *v, int term, int i) {
     case OBSERVATION_PROJECTED_GRAVITY: return v->gravity[i];
     case OBSERVATION_VELOCITY_COMMANDS: return X(K(X_COMMAND) + i);
     case OBSERVATION_LAST_ACTION: return X(K(X_ACTION) + i);
+    case OBSERVATION_FEET_AIR_TIME: return TIME(1, i);
+    case OBSERVATION_FEET_HEIGHT: return REPORT(R_SITE_POSITION, 3 * i + 2) - F(F_HEIGHT);
+    case OBSERVATION_FEET_CONTACT_FORCE: slot = K(K_FOOT) + i; return peak_force(v, K(slot));
+    case OBSERVATION_KEPT_OF_JOINTS:
+    case OBSERVATION_KEPT: return X(K(X_KEPT) + K(K(term + FORM_INTEGERS)) + i);
     default: break;
     }
     joint = K(slot);
@@ -561,19 +566,24 @@ FN void observe(Env *v, float *row) {
     }
     ROLLED for (int t = 0; t < K(K_NUM_TERMS); t++) {
         int term = K(K_TERM) + t * FORM_SIZE, at = K(term + FORM_NUMBERS), size = K(term + FORM_MORE + 1);
-        int memory = K(term + FORM_MORE + 2), per_joint = K(term) >= OBSERVATION_JOINT_POS_REL;
-        int own = per_joint ? K(K_SLOTS) : size;
+        int memory = K(term + FORM_MORE + 2), what = K(term), slots = K(K_SLOTS), columns = K(K_ACTIONS);
+        int per_joint = what >= OBSERVATION_JOINT_POS_REL && what <= OBSERVATION_KEPT_OF_JOINTS;
+        int per_foot = what >= OBSERVATION_FEET_CONTACT_FORCE && what <= OBSERVATION_FEET_HEIGHT;
+        int own = per_joint ? size / columns * slots : per_foot ? K(K_FEET) : size;
+        float error = F(at + FILTER_ERROR);
+        if (error > 0.0f && !HAS(FRESH)) continue;
         float *to = row + K(term + FORM_MORE), noise = F(at), low = F(at + 1), high = F(at + 2), scale = F(at + 3);
         ROLLED for (int i = 0; i < size * (memory - 1); i++) to[i] = to[i + size];
         float *newest = to + size * (memory - 1);
         if (own != size && HAS(FRESH)) ROLLED for (int i = 0; i < size; i++) newest[i] = 0.0f;
         ROLLED for (int i = 0; i < own; i++) {
-            int column = per_joint ? K(K_SLOT) + i * SLOT_SIZE + 1 : 0;
+            int column = per_joint ? K(K_SLOT) + i % slots * SLOT_SIZE + 1 : K(K_FOOT_COLUMN) + i;
             float number = observed(v, term, i);
+            if (error > 0.0f) number *= between(v, 1.0f - error, 1.0f + error);
             if (noise > 0.0f) number += between(v, -noise, noise);
             if (low <= high) number = smaller(larger(number, low), high);
             if (scale != 1.0f) number *= scale;
-            newest[per_joint ? K(column) : i] = number;
+            newest[per_joint ? i / slots * columns + K(column) : per_foot ? K(column) : i] = number;
         }
         if (HAS(FRESH)) ROLLED for (int i = 0; i < size * (memory - 1); i++) to[i] = newest[i % size];
     }

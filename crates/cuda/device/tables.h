@@ -98,10 +98,12 @@ enum Size {
 enum Task {
     K_SLOTS, K_ACTIONS, K_OBSERVED, K_FEET, K_AUTORESET, K_HAS_COMMAND, K_HEADING_COMMAND, K_LONGEST, K_SCALES, K_REMEMBERS,
     K_NUM_DELAYS, K_NUM_INTERVALS, K_NUM_RESETS, K_NUM_ENDS, K_NUM_REWARDS, K_NUM_TERMS,
-    /* lists: slots, contact bodies that are feet, groups of contact bodies, actuator delays, terms */
-    K_SLOT, K_FOOT, K_GROUP, K_DELAY, K_INTERVAL, K_RESET, K_END, K_REWARD, K_TERM,
-    /* columns of an env: its actions, command, timers, sums, times of its feet, stance and mass */
+    /* lists: slots, contact bodies that are feet, their columns, groups of contact bodies, actuator delays, terms */
+    K_SLOT, K_FOOT, K_FOOT_COLUMN, K_GROUP, K_DELAY, K_INTERVAL, K_RESET, K_END, K_REWARD, K_TERM,
+    /* columns of an env: its actions, command, timers, sums, times of its feet, stance, mass, and
+     * numbers that observations show */
     X_ACTION, X_PREVIOUS, X_COMMAND, X_TIMER, X_SUM, X_TOTAL, X_TIME, X_DEFAULT, X_SCALE, X_SPAWN, X_MASS,
+    X_KEPT,
     NUM_TASK
 };
 
@@ -120,8 +122,8 @@ enum TaskSize {
     /* a term: what it is, where its numbers and integers begin, how many integers; of an end whether it
      * truncates, of an observation its column, numbers and memory */
     FORM_SIZE = 7, FORM_NUMBERS = 1, FORM_INTEGERS = 2, FORM_COUNT = 3, FORM_MORE = 4,
-    /* numbers of an observation before its own: noise, clip, scale */
-    FILTER_SIZE = 4,
+    /* numbers of an observation before its own: noise, clip, scale, error that lasts an episode */
+    FILTER_SIZE = 5, FILTER_ERROR = 4,
     COMMAND_SIZE = 5, COMMAND_HEADING = 3, COMMAND_LEFT = 4,
     TOTALS = 6,      /* reward, errors of velocity and yaw rate, commanded ones, speed */
     TIMES = 4,       /* of each foot: contact, air, last contact, last air */
@@ -157,7 +159,13 @@ enum Reward {
 };
 enum Observation {
     OBSERVATION_BASE_LIN_VEL, OBSERVATION_BASE_ANG_VEL, OBSERVATION_PROJECTED_GRAVITY,
-    OBSERVATION_VELOCITY_COMMANDS, OBSERVATION_JOINT_POS_REL, OBSERVATION_JOINT_VEL_REL, OBSERVATION_LAST_ACTION
+    OBSERVATION_VELOCITY_COMMANDS,
+    /* a number of each foot */
+    OBSERVATION_FEET_CONTACT_FORCE, OBSERVATION_FEET_AIR_TIME, OBSERVATION_FEET_HEIGHT,
+    /* numbers of each joint */
+    OBSERVATION_JOINT_POS_REL, OBSERVATION_JOINT_VEL_REL, OBSERVATION_LAST_ACTION,
+    /* numbers that an env keeps: of each joint, or any */
+    OBSERVATION_KEPT_OF_JOINTS, OBSERVATION_KEPT
 };
 
 #ifdef __CUDACC__

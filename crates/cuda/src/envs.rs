@@ -124,6 +124,8 @@ pub struct ObservationForm {
     pub clip: Option<[f32; 2]>,
     /// Factor of the limited numbers.
     pub scale: f32,
+    /// Largest relative error, which lasts an episode.
+    pub error: f32,
 }
 
 /// A slot of a robot.
@@ -168,6 +170,10 @@ pub struct TaskForm {
     pub joints: usize,
     /// Contact bodies that are feet.
     pub feet: Vec<usize>,
+    /// Their columns in the batch.
+    pub foot_columns: Vec<usize>,
+    /// Numbers that an env keeps for its observations.
+    pub kept: usize,
     /// Group of each contact body, by any numbers that terms use too.
     pub groups: Vec<i32>,
     /// See [`AutoresetForm`].
@@ -283,7 +289,7 @@ impl TaskTables {
             (K_HEADING_COMMAND, usize::from(task.commands[1])),
             (K_LONGEST, task.longest as usize),
             (K_SCALES, usize::from(task.scales)),
-            (K_REMEMBERS, usize::from(task.observations.iter().any(|term| term.memory > 1))),
+            (K_REMEMBERS, usize::from(task.observations.iter().any(|term| term.memory > 1 || term.error > 0.0))),
             (K_NUM_DELAYS, task.delays.len()),
             (K_NUM_INTERVALS, task.intervals.len()),
             (K_NUM_RESETS, task.resets.len()),
@@ -306,6 +312,7 @@ impl TaskTables {
             (X_SCALE, 1),
             (X_SPAWN, 1),
             (X_MASS, 1),
+            (X_KEPT, task.kept),
         ] {
             lists.integers[name] = whole(next);
             next += size;
@@ -336,6 +343,7 @@ impl TaskTables {
         let slots = slots.flat_map(|(slot, sign)| [whole(slot.joint), whole(slot.column), sign]);
         lists.list(K_SLOT, &slots.collect::<Vec<_>>());
         lists.list(K_FOOT, &task.feet.iter().map(|&body| whole(body)).collect::<Vec<_>>());
+        lists.list(K_FOOT_COLUMN, &task.foot_columns.iter().map(|&column| whole(column)).collect::<Vec<_>>());
         lists.list(K_GROUP, &task.groups);
         let mut delays = Vec::new();
         for Delay { range, joints } in &task.delays {
@@ -360,7 +368,7 @@ impl TaskTables {
         let mut terms = Vec::new();
         for term in &task.observations {
             let [low, high] = term.clip.unwrap_or([1.0, 0.0]);
-            let filter = [term.noise, low, high, term.scale];
+            let filter = [term.noise, low, high, term.scale, term.error];
             terms.push(lists.entry(&term.form, &filter, [term.column, term.size, term.memory].map(whole)));
         }
         lists.list(K_TERM, terms.as_flattened());
@@ -434,6 +442,8 @@ pub enum Column {
     Default,
     /// Action scale, spawn height and total mass.
     Stance,
+    /// Numbers that observations show for a whole episode.
+    Kept,
 }
 
 impl Column {
@@ -448,6 +458,7 @@ impl Column {
             Self::Time => X_TIME,
             Self::Default => X_DEFAULT,
             Self::Stance => X_SCALE,
+            Self::Kept => X_KEPT,
         }
     }
 }
@@ -496,13 +507,16 @@ pub struct EnvRows<'a> {
 impl EnvRows<'_> {
     /// Writes numbers of an env, from the beginning of a column on.
     pub fn write<'b>(&mut self, env: usize, column: Column, numbers: impl IntoIterator<Item = &'b f32>) {
-        let places = self.numbers[self.task.at(column.name()) * self.robots + env..].iter_mut().step_by(self.robots);
+        // the last column may have no numbers
+        let first = self.task.at(column.name()) * self.robots + env;
+        let places = self.numbers.iter_mut().skip(first).step_by(self.robots);
         places.zip(numbers).for_each(|(place, number)| *place = *number);
     }
 
     /// Reads numbers of an env, from the beginning of a column on.
     pub fn read<'b>(&self, env: usize, column: Column, numbers: impl IntoIterator<Item = &'b mut f32>) {
-        let places = self.numbers[self.task.at(column.name()) * self.robots + env..].iter().step_by(self.robots);
+        let first = self.task.at(column.name()) * self.robots + env;
+        let places = self.numbers.iter().skip(first).step_by(self.robots);
         numbers.into_iter().zip(places).for_each(|(number, place)| *number = *place);
     }
 
