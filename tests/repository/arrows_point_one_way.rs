@@ -43,7 +43,7 @@ const ROOMS: [&str; 31] = [
 const SHELVES: [&str; 5] = ["bodies", "ecs", "scene", "storage", "threads"];
 
 /// The files of `systems/` from the ground up; `mod` holds what they share, the schedules and sets.
-const SYSTEMS: [&str; 30] = [
+const SYSTEMS: [&str; 31] = [
     "commanded",
     "view",
     "terms",
@@ -73,6 +73,7 @@ const SYSTEMS: [&str; 30] = [
     "observe",
     "privileged",
     "finite",
+    "whole",
     "builtin",
 ];
 
