@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, base_frames, urdf_copies
+from polypod import _core, bare_ends, base_frames, two_legs, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -30,6 +30,8 @@ NUM_ENVS = 16
 SAG = 0.3
 """Largest mean distance of a standing robot's joint from the default pose, rad. Makers' gains allow
 as much: ANYmal D gives way by 0.28 rad and Go2 by 0.26."""
+ON_TWO_LEGS = ("biped", "humanoid")
+"""Kinds whose gains `polypod.two_legs` has: a policy balances on them, and none are raised."""
 STIFFER = 1.5
 """Factor on the gains for the next try."""
 TRIES = 4
@@ -146,6 +148,15 @@ def new_robot(
         drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or relative_path(real_path(urdf), folder))
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
+
+    def written(draft: Draft) -> str:
+        """The text of a config; its file holds the draft meanwhile."""
+        text = draft["toml"]
+        if draft["kind"] in ON_TWO_LEGS:
+            write_text(path, text)
+            text = two_legs.with_gains(text, path)
+        return text if refine is None else refine(text)
+
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
         factor = STIFFER**attempt
@@ -156,9 +167,9 @@ def new_robot(
         if attempt == 0:
             _check_place(path, draft["name"], force)
         try:
-            before, text = text, draft["toml"] if refine is None else refine(draft["toml"])
+            before, text = text, written(draft)
             if text == before:
-                # the gains are not the draft's
+                # the gains are not the draft's, or a policy balances on them
                 factor = 1.0
                 break
             write_text(path, text)
@@ -170,7 +181,7 @@ def new_robot(
     needs = draft["needs_policy"]
     if needs is None and not standing.holds and standing.lasted <= AT_ONCE:
         needs = "its episodes end as they begin: look at the height of its base and at the task's terminations"
-    elif needs is None and not standing.holds and draft["kind"] in ("biped", "humanoid"):
+    elif needs is None and not standing.holds and draft["kind"] in ON_TWO_LEGS:
         needs = "on these gains its ankles hold less than the moment of its weight as it leans: a policy balances it"
     if standing.holds:
         needs = None
@@ -178,7 +189,7 @@ def new_robot(
         # softer gains move the better: stiffer ones did not help
         factor = 1.0
         draft = drafted(gain_factor=1.0)
-        write_text(path, draft["toml"] if refine is None else refine(draft["toml"]))
+        write_text(path, written(draft))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
     notes = notes if copy is None else [*copy.notes, *notes]
     return NewRobot(draft["name"], path, notes, standing, factor, draft["kind"], task_of(path) == TASK, needs)
