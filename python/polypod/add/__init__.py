@@ -237,9 +237,9 @@ def _write(
     described = read.described
     notes = list(read.notes)
     made = stood(None if described is None else _refinement(config, described, found.origin, posed=True))
-    if described is not None and described.pose is not None and not made.standing.holds:
+    if described is not None and described.pose is not None and not made.pose_holds:
         drafted = stood(_refinement(config, described, found.origin, posed=False))
-        if drafted.standing.holds:
+        if drafted.pose_holds:
             made = drafted
             notes.append(
                 f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in"
