@@ -189,7 +189,7 @@ def new_robot(
         factor = 1.0
         draft = drafted(gain_factor=1.0)
         write_text(path, written(draft, is_stiff=False))
-        standing = stand(path, functools.partial(tell, "stands on soft gains"))
+        standing = stand(path, functools.partial(tell, "last try: stands"))
         if needs is None and not standing.holds:
             stiff = "" if pose_holds else ", on stiff gains too"
             needs = f"its ankles hold less than the moment of its weight as it leans{stiff}: a policy balances it"
@@ -222,12 +222,7 @@ def _copy(
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
     links = bare_ends.add_boxes(robot, held)
-    upright = deepcopy(robot)
-    assumed = base_frames.put_upright(upright)
-    moved = base_frames.put_in_the_middle(upright)
-    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages):
-        upright, assumed = robot, None
-        moved = base_frames.put_in_the_middle(upright)
+    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
@@ -243,10 +238,37 @@ def _copy(
     return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
 
 
+def upright_of(
+    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str] = ()
+) -> tuple[ElementTree.Element, str | None, str | None]:
+    """A robot with its base's frame upright and in the middle.
+
+    Args:
+        urdf: the file that the robot was read from, for the names of its meshes.
+        robot: its tree, which stays as it is.
+        drafts_of: drafts a config for the file of a URDF; raises where there is none.
+        packages: ROS packages whose folders are known.
+
+    Returns:
+        The tree, and what was assumed of the axes and of the middle, None where nothing was.
+    """
+    upright = deepcopy(robot)
+    turned = base_frames.turn_upright(upright)
+    assumed = turned or base_frames.put_upright(upright)
+    moved = base_frames.put_in_the_middle(upright)
+    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages, is_turned=turned is not None):
+        upright, assumed = deepcopy(robot), None
+        moved = base_frames.put_in_the_middle(upright)
+    return upright, assumed, moved
+
+
 def _is_taken(
-    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str]
+    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str], *, is_turned: bool
 ) -> bool:
-    """Whether the joints of a robot fit its upright root better than the root of the file."""
+    """Whether the joints of a robot fit its upright root better than the root of the file.
+
+    A base that is turned itself fits if it has a draft.
+    """
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.urdf"
         trial.write_text(urdf_copies.text_of(deepcopy(robot), urdf.name, urdf, Path(folder), packages), "utf-8")
@@ -254,7 +276,7 @@ def _is_taken(
             notes = drafts_of(trial, urdf=trial.name)["notes"]
         except (_core.RobotError, _core.ConfigError):
             return False
-    return any(base_frames.is_taken(note) for note in notes)
+    return is_turned or any(base_frames.is_taken(note) for note in notes)
 
 
 def _drafts_on(
