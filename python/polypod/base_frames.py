@@ -107,7 +107,7 @@ class _Axes:
     lateral: int
     """The axis to the left."""
     limbs: Array
-    """From the first joint of each limb beside the middle plane to its end, m."""
+    """From the first joint of each limb off the middle plane to its end, m."""
     lengths: Array
     """Lengths of the same limbs, over all joints, m."""
 
@@ -147,10 +147,11 @@ class _Axes:
         return np.stack([x, np.cross(z, x), z]).T
 
     def assumption(self, link: str, up: int, sign: float) -> str:
-        names = "xyz"
+        lateral, above, forward = ("xyz"[axis] for axis in (self.lateral, up, self._forward(up)))
+        above = above if sign > 0 else f"-{above}"
         return (
-            f'link "{link}": its joints pitch about {names[self.lateral]}, so {names[up] if sign > 0 else "-" + names[up]} '
-            f"is taken for up and {names[self._forward(up)]} for forward; let its frame have x forward and z up"
+            f'link "{link}": its joints pitch about {lateral}, so {above} is taken for up and {forward} for forward; '
+            "let its frame have x forward and z up"
         )
 
     def _forward(self, up: int) -> int:

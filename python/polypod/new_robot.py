@@ -263,7 +263,12 @@ def upright_of(
 
 
 def _is_taken(
-    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str], *, is_turned: bool
+    urdf: Path,
+    robot: ElementTree.Element,
+    drafts_of: Callable[..., Draft],
+    packages: Collection[str],
+    *,
+    is_turned: bool,
 ) -> bool:
     """Whether the joints of a robot fit its upright root better than the root of the file.
 
