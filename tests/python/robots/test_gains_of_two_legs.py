@@ -2,13 +2,14 @@
 
 import functools
 import json
+import re
 
 import numpy as np
 import pytest
 import tomllib
 
 from common import ROOT
-from polypod import _core, two_legs
+from polypod import Simulation, _core, two_legs
 from polypod.new_robot import new_robot
 
 TASK = "velocity_flat_any_legged_play"
@@ -82,6 +83,43 @@ def test_a_draft_says_the_rule_and_the_limits_of_its_urdf(drafts, robot):
         assert drafted["stiffness"][joint] == pytest.approx(stiff, rel=0.051), slot
     groups = tomllib.loads(made.path.read_text())["actuators"]
     assert {joint for group in groups.values() for joint in group["joints"]} >= {"*_KNEE", "*_ANKLE_ROLL"}
+
+
+LIMITS = re.compile(r'(effort|velocity)="[^"]*"')
+
+
+@pytest.mark.parametrize("limit", ["0", "1000"])
+@pytest.mark.parametrize("robot", ["unitree_h1", "unitree_g1", "berkeley_humanoid"])
+def test_limits_that_no_motor_has_follow_from_the_body(drafts, tmp_path, robot, limit):
+    _, known, _ = drafts(robot)
+    text = (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    text = LIMITS.sub(lambda found: f'{found[1]}="{limit}"', text)
+    made = new_robot(write(tmp_path / "robot.urdf", text), tmp_path / "robot.toml")
+    drafted = info_of(made.path)
+    for slot, joint in zip(drafted["slots"], drafted["joint_of_slot"], strict=True):
+        if two_legs.part_of(slot) != "ARM":
+            ratio = drafted["stiffness"][joint] / known["stiffness"][joint]
+            # an ankle of Berkeley Humanoid is four times as weak as the other one
+            assert 1 / 2.1 <= ratio <= (2.5 if robot != "berkeley_humanoid" else 3.0), (slot, ratio)
+    assert all(limit > 0.0 for key in ("effort_limit", "velocity_limit") for limit in drafted[key])
+    assert made.path.read_text().count("assumed: not in the URDF") >= 4
+
+
+@pytest.mark.parametrize("robot", ["unitree_h1", "unitree_g1", "booster_t1"])
+def test_no_joint_of_a_draft_is_at_its_limit_and_arms_hang(drafts, robot):
+    made, drafted, _ = drafts(robot)
+    for joint, name in enumerate(drafted["joint_names"]):
+        low, high = drafted["lower"][joint], drafted["upper"][joint]
+        margin = min(drafted["default_pose"][joint] - low, high - drafted["default_pose"][joint])
+        assert margin >= 0.04 * (high - low), name
+    # the link of a joint follows those above it
+    places = Simulation(made.path, threads=1).link_pose()[0][0, 1:]
+    slots = dict(zip(drafted["slots"], drafted["joint_of_slot"], strict=True))
+    for side in ("L", "R"):
+        shoulder = places[slots[f"{side}_SHOULDER_PITCH"]]
+        arm = [joint for slot, joint in slots.items() if slot.startswith(side) and two_legs.part_of(slot) == "ARM"]
+        below = shoulder - places[max(arm, key=lambda joint: np.linalg.norm(places[joint] - shoulder))]
+        assert below[2] > 0.7 * np.linalg.norm(below), (side, below)
 
 
 def test_an_effort_limit_that_an_exporter_wrote_into_every_joint_is_no_motors(tmp_path):
