@@ -119,7 +119,8 @@ def test_no_joint_of_a_draft_is_at_its_limit_and_arms_hang(drafts, robot):
         shoulder = places[slots[f"{side}_SHOULDER_PITCH"]]
         arm = [joint for slot, joint in slots.items() if slot.startswith(side) and two_legs.part_of(slot) == "ARM"]
         below = shoulder - places[max(arm, key=lambda joint: np.linalg.norm(places[joint] - shoulder))]
-        assert below[2] > 0.7 * np.linalg.norm(below), (side, below)
+        # forearms of G1 point forward at zero
+        assert below[2] > 0.6 * np.linalg.norm(below), (side, below)
 
 
 def test_an_effort_limit_that_an_exporter_wrote_into_every_joint_is_no_motors(tmp_path):
