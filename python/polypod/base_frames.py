@@ -74,8 +74,9 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     Returns:
         A line that says what was assumed; None where the axes are right or unknown.
     """
-    found = _Axes.of(robot)
-    if found is None or found.lateral != 1:
+    link = _base(robot)
+    found = None if link is None else _Axes.of(robot, link.get("name"))
+    if link is None or found is None or found.lateral != 1:
         return None
     stretched = found.limbs[np.linalg.norm(found.limbs, axis=1) >= STRETCHED * found.lengths]
     if len(stretched) < 2:
@@ -88,20 +89,16 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     if up == 0 and found.shares[2] < LEAST_SHARE * found.shares[0]:
         # abduction turns about the axis forward, and about none that is up
         return None
-    link = _base(robot)
-    if link is None:
-        return None
-    own = found.frames[link.get("name")][0]
-    _turn(robot, link, own.T @ found.upright(up, sign))
+    _turn(robot, link, found.upright(up, sign))
     return found.assumption(str(link.get("name")), up, sign)
 
 
 @dataclasses.dataclass(frozen=True)
 class _Axes:
-    """Axes and limbs of a robot at zero, in its root's frame."""
+    """Axes and limbs of a robot at zero, in the frame of its root or of another link."""
 
     frames: dict[str | None, tuple[Array, Array]]
-    """Turn and place of each link."""
+    """Turn and place of each link, in the root's frame."""
     shares: Array
     """Mean square of the axes of turning joints along x, y and z."""
     lateral: int
@@ -112,12 +109,13 @@ class _Axes:
     """Lengths of the same limbs, over all joints, m."""
 
     @classmethod
-    def of(cls, robot: ElementTree.Element) -> "_Axes | None":
-        """The axes of a robot whose joints clearly turn about one axis most."""
+    def of(cls, robot: ElementTree.Element, link: str | None = None) -> "_Axes | None":
+        """The axes of a robot whose joints clearly turn about one axis most, in a link's frame."""
         frames, joints = _zero_pose(robot)
-        axes = [frames[_child(joint)][0] @ _axis(joint) for joint in joints]
-        if not axes:
+        if not joints or (link is not None and link not in frames):
             return None
+        own = np.eye(3) if link is None else frames[link][0]
+        axes = [frames[_child(joint)][0] @ _axis(joint) for joint in joints] @ own
         shares = np.square(axes).mean(axis=0)
         lateral = int(shares.argmax())
         if shares[lateral] < ADVANTAGE * np.sort(shares)[1]:
@@ -129,7 +127,7 @@ class _Axes:
             chain = [end]
             while chain[-1] in above:
                 chain.append(above[chain[-1]])
-            places = np.array([frames[link][1] for link in chain])
+            places = np.array([frames[link][1] for link in chain]) @ own
             first = max((at for at, link in enumerate(chain) if link in turning), default=None)
             if first is not None and abs(places[0, lateral]) > ASIDE:
                 limbs.append(places[0] - places[first])
@@ -142,7 +140,7 @@ class _Axes:
         return max((float((-way * self.limbs[:, axis]).max()), axis, way) for axis in across for way in (1.0, -1.0))
 
     def upright(self, up: int, sign: float) -> Array:
-        """The axes of the upright frame in the root's, in the columns."""
+        """The axes of the upright frame in that frame, in the columns."""
         x, z = np.eye(3)[self._forward(up)], sign * np.eye(3)[up]
         return np.stack([x, np.cross(z, x), z]).T
 

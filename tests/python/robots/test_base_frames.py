@@ -73,6 +73,28 @@ def test_a_turned_base_frame_is_put_upright(tmp_path, frame, robot):
     assert not [note for note in made.notes if base_frames.ROOT in note]
 
 
+@pytest.mark.parametrize("rpy", ["0 0 0", "3.14159265358979 0 0"])
+@pytest.mark.parametrize("frame", ["x forward, -z up", "z forward, x up"])
+def test_a_turned_body_below_an_empty_root_is_put_upright(tmp_path, frame, rpy):
+    """The root may be turned against the body; the body's frame is the base's."""
+    known = tmp_path / "known.urdf"
+    known.write_text(quadruped())
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    root = (
+        f'<link name="origin"/><joint name="at" type="fixed"><origin xyz="0 0 0.1" rpy="{rpy}"/>'
+        '<parent link="origin"/><child link="trunk"/></joint></robot>'
+    )
+    text = turned(quadruped(), FRAMES[frame])
+    assert '<link name="trunk">' in text
+    other = tmp_path / "other.urdf"
+    other.write_text(text.replace("</robot>", root))
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    assert made.standing.holds
+
+
 @pytest.mark.parametrize("aside", [0.0, 0.05])
 @pytest.mark.parametrize("robot", ["fox", "unitree_g1"])
 @pytest.mark.parametrize("frame", ["y forward, z up", "x forward, -z up", "z forward, x up"])
