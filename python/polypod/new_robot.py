@@ -152,12 +152,14 @@ def new_robot(
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
 
+    motors: list[str] = []
+
     def written(draft: Draft, *, is_stiff: bool) -> str:
         """The text of a config, on the draft's gains or, of two legs, on those of makers."""
         text = draft["toml"]
         if not is_stiff:
             write_text(path, text)
-            text = two_legs.with_gains(text, path)
+            text, motors[:] = two_legs.with_gains(text, path)
         return text if refine is None else refine(text)
 
     text, tell = "", progress or (lambda part, done, total: None)
@@ -201,7 +203,7 @@ def new_robot(
         draft = drafted(gain_factor=1.0)
         write_text(path, written(draft, is_stiff=True))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
-    notes = notes if copy is None else [*copy.notes, *notes]
+    notes = [*(copy.notes if copy is not None else []), *notes, *motors]
     name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
     return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
 
