@@ -140,7 +140,9 @@ def new_robot(
         try:
             base_frames.check_units(urdf, tree)
             # a library's own copy of a URDF stays what the file says
-            copy = None if urdf_key else _copy(urdf, tree, folder, drafts_of, locked_joints or {}, package_dirs or {})
+            held, packages = locked_joints or {}, package_dirs or {}
+            if not urdf_key:
+                copy = _copy(urdf, tree, folder, drafts_of, held, packages, keeps_up=bool(joint_roles))
         except _core.PolypodError:
             raise
         except ValueError:
@@ -221,10 +223,12 @@ def _copy(
     drafts_of: Callable[..., Draft],
     held: Collection[str],
     packages: Collection[str],
+    *,
+    keeps_up: bool,
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
     links = bare_ends.add_boxes(robot, held)
-    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages)
+    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages, keeps_up=keeps_up)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
@@ -241,7 +245,12 @@ def _copy(
 
 
 def upright_of(
-    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str] = ()
+    urdf: Path,
+    robot: ElementTree.Element,
+    drafts_of: Callable[..., Draft],
+    packages: Collection[str] = (),
+    *,
+    keeps_up: bool,
 ) -> tuple[ElementTree.Element, str | None, str | None]:
     """A robot with its base's frame upright and in the middle.
 
@@ -250,12 +259,14 @@ def upright_of(
         robot: its tree, which stays as it is.
         drafts_of: drafts a config for the file of a URDF; raises where there is none.
         packages: ROS packages whose folders are known.
+        keeps_up: whether legs that point away from -z stay: roles that are named tell more than
+            where feet are.
 
     Returns:
         The tree, and what was assumed of the axes and of the middle, None where nothing was.
     """
     upright = deepcopy(robot)
-    turned = base_frames.turn_upright(upright)
+    turned = None if keeps_up else base_frames.turn_upright(upright)
     assumed = turned or base_frames.put_upright(upright)
     moved = base_frames.put_in_the_middle(upright)
     if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages, is_turned=turned is not None):
