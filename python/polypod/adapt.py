@@ -237,7 +237,8 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     if is_separate:
         train_config = _own_train_config(options)
         task = {"task": train_config.run.task, "overrides": []}
-        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides)
+        own_set = _set_of_two_legs(start.robot)
+        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides, own_set)
     else:
         manifest = run_dir.read_manifest(start.checkpoint)
         # shares of the training alone, which no evaluation needs
@@ -283,13 +284,32 @@ def _other_policy(checkpoint: Path) -> Path | None:
     return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
+def _set_of_two_legs(robot: str) -> str | None:
+    """The reward set in units of the body of a robot on two legs; None for other numbers."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
+    (info,) = simulated.robots(sim).values()
+    if len(info["legs"]) != 2:
+        return None
+    return "two_legs" if any("_ANKLE_PITCH" in slot for slot in info["slots"]) else "two_points"
+
+
 def _changes(
-    manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
+    manifest: Mapping[str, Any],
+    robot: str,
+    name: str,
+    nearest: Sequence[str],
+    given: Sequence[str],
+    own_set: str | None = None,
 ) -> list[str]:
-    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task."""
+    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task.
+
+    The set is `own_set`, or that of the robot which is described most like it.
+    """
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
-    if robot.endswith(".toml") and nearest:
+    if robot.endswith(".toml") and own_set is not None:
+        of_robot = [f"robot_overrides.{name}.reward_set={own_set}"]
+    elif robot.endswith(".toml") and nearest:
         # a draft names a set of another task; the robot that is described most like it has this
         # task's
         sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
