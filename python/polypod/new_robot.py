@@ -162,7 +162,11 @@ def new_robot(
         if not is_stiff:
             write_text(path, text)
             text, motors[:] = two_legs.with_gains(text, path)
-        return text if refine is None else refine(text)
+        text = text if refine is None else refine(text)
+        if two_legs.ASSUMED not in text:
+            # limits come from a file that has them
+            motors.clear()
+        return text
 
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):

@@ -45,6 +45,8 @@ EFFORT_OF_LEGS = 0.38
 LEAST_EFFORT = 0.15
 """Legs of one effort limit below this share of the load state no motor's: exporters write 1 N m
 into every joint. Knees of makers have 0.36 and more."""
+ASSUMED = "assumed: the URDF's is no motor's"
+"""Comment on such a limit in the config."""
 LISTED = 3
 """Number of roles up to which the name of a group lists them."""
 
@@ -116,7 +118,7 @@ def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> tuple[list[str], l
         effort, effort_line, speed_line = info["effort_limit"][joint], *limits[slot]
         if is_placeholder and effort in stated:
             effort = rounded((EFFORT["ANKLE"] if part_of(slot) == "ANKLE" else EFFORT_OF_LEGS) * load)
-            effort_line = f"effort_limit = {effort!r}          # N m, assumed: the URDF's is no motor's"
+            effort_line = f"effort_limit = {effort!r}          # N m, {ASSUMED}"
             replaced.setdefault(effort, []).append(info["joint_names"][joint])
         stiff = rounded(stiffness(slot, mass, height, effort))
         own: tuple[str, ...] = (
