@@ -323,6 +323,15 @@ def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_p
     assert f"begins with {unfinished.relative_to(tmp_path)}" in " ".join(done.stdout.split())
 
 
+def test_a_network_that_goes_on_keeps_its_reward_set():
+    """A set in units of the body gives way to no other robot's."""
+    own = "robot_overrides.my_biped.reward_set=two_legs"
+    manifest = {"task": "velocity_flat_teacher", "overrides": [own]}
+    arguments = ("folder/my_biped.toml", "my_biped", ["unitree_h1"], ["sim.dt=0.005"])
+    assert adapt._changes(manifest, *arguments) == [own, "sim.dt=0.005"]
+    assert adapt._changes({**manifest, "overrides": []}, *arguments)[0] == own.replace("two_legs", "h1")
+
+
 @pytest.mark.parametrize(
     ("options", "has_gpu", "falls", "begins"),
     [
