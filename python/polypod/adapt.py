@@ -36,11 +36,15 @@ CRITIC_WARMUP = 10
 HOPELESS = 0.5
 """A separate network is worth its training where the policy falls in more than this share of the
 episodes, and before it ends any turn or stop."""
+GLANCE = 16
+"""Number of envs that tell whether a separate network is worth it: a policy under which every one
+falls is measured no further."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
-EVERY = 10
-"""Iterations between two measurements."""
+EVERY, EVERY_SEPARATE = 10, 40
+"""Iterations between two measurements; those of a separate network, which begins from scratch, are
+shorter and more."""
 FOUR_LEGS, OTHERS = "quadruped", "legged"
 """Bundled policies to begin with."""
 URDF = ".urdf"
@@ -60,7 +64,8 @@ class Options:
     neighbours: int = 0
     """Robots of the library to train with, so that nothing is forgotten."""
     max_minutes: float = MAX_MINUTES
-    every: int = EVERY
+    every: int | None = None
+    """Iterations between two measurements; None: `EVERY`, or `EVERY_SEPARATE`."""
     train_config: str | None = None
     """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
     network."""
@@ -160,14 +165,14 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         if given.suffix != URDF:
             shutil.rmtree(run, ignore_errors=True)
         return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
+    is_separate = _is_separate(options, before[name])
     goal = UntilWalks(
-        options.every,
+        options.every or (EVERY_SEPARATE if is_separate else EVERY),
         wanted,
         say=lambda point: reporter.message(progress_line(point, wanted)),
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
     )
-    is_separate = _is_separate(options, before[name])
     if is_separate:
         reporter.message(f"{name}: a separate network begins from scratch")
     of_run, plan = _plan(options, start, run, is_separate)
@@ -207,7 +212,9 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
     neighbours = near[: options.neighbours]
     changes = _changes(manifest, robot, name, near[:1], options.overrides)
-    before = _measured(checkpoint, [robot, *neighbours], changes, options)
+    before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if _is_alone(options) else {}
+    if not before or not _is_separate(options, before[name]):
+        before = _measured(checkpoint, [robot, *neighbours], changes, options)
     other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
     if other is not None and not walks(before[name]):
         of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
@@ -232,7 +239,8 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     if is_separate:
         train_config = _own_train_config(options)
         task = {"task": train_config.run.task, "overrides": []}
-        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides)
+        own_set = _set_of_two_legs(start.robot)
+        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides, own_set)
     else:
         manifest = run_dir.read_manifest(start.checkpoint)
         # shares of the training alone, which no evaluation needs
@@ -278,18 +286,38 @@ def _other_policy(checkpoint: Path) -> Path | None:
     return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
+def _set_of_two_legs(robot: str) -> str | None:
+    """The reward set in units of the body of a robot on two legs; None for other numbers."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
+    (info,) = simulated.robots(sim).values()
+    if len(info["legs"]) != 2:
+        return None
+    return "two_legs" if any("_ANKLE_PITCH" in slot for slot in info["slots"]) else "two_points"
+
+
 def _changes(
-    manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
+    manifest: Mapping[str, Any],
+    robot: str,
+    name: str,
+    nearest: Sequence[str],
+    given: Sequence[str],
+    own_set: str | None = None,
 ) -> list[str]:
-    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task."""
+    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task.
+
+    The set is `own_set`, or that of the robot which is described most like it.
+    """
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
-    if robot.endswith(".toml") and nearest:
+    key = f"robot_overrides.{name}.reward_set"
+    if robot.endswith(".toml") and own_set is not None:
+        of_robot = [f"{key}={own_set}"]
+    elif robot.endswith(".toml") and nearest and not any(change.startswith(f"{key}=") for change in trained):
         # a draft names a set of another task; the robot that is described most like it has this
         # task's
         sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
         (like,) = simulated.config(sim)["robots"].values()
-        of_robot = [f"robot_overrides.{name}.reward_set={like['reward_set']}"]
+        of_robot = [f"{key}={like['reward_set']}"]
     of_task, _ = config.split_overrides(given)
     return [*trained, *of_robot, *of_task]
 
@@ -302,9 +330,14 @@ def _is_separate(options: Options, before: Walking) -> bool:
     """Whether a separate network promises more than the policy; a given policy is kept."""
     if options.separate != "auto":
         return options.separate == "always"
-    is_bound = options.checkpoint is not None or options.neighbours > 0
     falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
-    return _has_gpu(options) and not is_bound and falls_at_once
+    return _is_alone(options) and falls_at_once
+
+
+def _is_alone(options: Options) -> bool:
+    """Whether the robot gets a separate network if the policy falls with it at once."""
+    is_bound = options.checkpoint is not None or options.neighbours > 0
+    return options.separate == "auto" and _has_gpu(options) and not is_bound
 
 
 def _own_train_config(options: Options) -> TrainConfig:
@@ -334,14 +367,18 @@ def _train_config(
 
 
 def _measured(
-    checkpoint: Path, robots: list[str] | None, changes: Sequence[str], options: Options
+    checkpoint: Path,
+    robots: list[str] | None,
+    changes: Sequence[str],
+    options: Options,
+    envs_per_robot: int = ENVS_PER_ROBOT,
 ) -> dict[str, Walking]:
     """Figures with the seed that selects nothing."""
     count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
     result = evaluate_checkpoint(
         checkpoint,
         robots,
-        num_envs=ENVS_PER_ROBOT * count,
+        num_envs=envs_per_robot * count,
         seed=CONFIRMING_SEED,
         threads=options.threads,
         overrides=changes,

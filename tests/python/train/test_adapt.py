@@ -281,6 +281,24 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
     assert manifest["overrides"] == []
 
 
+@pytest.mark.parametrize(("robot", "own_set"), [("berkeley_humanoid", "two_legs"), ("bolt", "two_points")])
+def test_a_separate_network_on_two_legs_is_paid_in_units_of_the_body(cli, tmp_path, measured, robot, own_set):
+    """A draft has no set of its task, and the nearest robot's may be for ten times its weight."""
+    shutil.copy(_core_urdf(robot), tmp_path / "my_biped.urdf")
+    measured(bad(0.4), FIGURES, FIGURES)
+    (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"adapt_separate"'))
+    done = cli("adapt", "my_biped.urdf", "--separate", "always", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_my_biped")
+    resolved = tomllib.loads((run / "params" / "env.toml").read_text())
+    assert resolved["robots"]["my_biped"]["reward_set"] == own_set
+    # the changes of the train config count in the training alone
+    assert resolved["task"]["rewards"]["two_legs"]["scaled_torques_l2"]["weight"] == -1.0
+    assert json.loads((run / "manifest.json").read_text())["overrides"] == [
+        f"robot_overrides.my_biped.reward_set={own_set}"
+    ]
+
+
 def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_path, measured, monkeypatch):
     falls = dataclasses.replace(bad(0.4), **AT_ONCE)
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
@@ -303,6 +321,15 @@ def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_p
     assert f"begins with {unfinished.relative_to(tmp_path)}" in " ".join(done.stdout.split())
 
 
+def test_a_network_that_goes_on_keeps_its_reward_set():
+    """A set in units of the body gives way to no other robot's."""
+    own = "robot_overrides.my_biped.reward_set=two_legs"
+    manifest = {"task": "velocity_flat_teacher", "overrides": [own]}
+    arguments = ("folder/my_biped.toml", "my_biped", ["unitree_h1"], ["sim.dt=0.005"])
+    assert adapt._changes(manifest, *arguments) == [own, "sim.dt=0.005"]
+    assert adapt._changes({**manifest, "overrides": []}, *arguments)[0] == own.replace("two_legs", "h1")
+
+
 @pytest.mark.parametrize(
     ("options", "has_gpu", "falls", "begins"),
     [
@@ -321,6 +348,24 @@ def test_when_a_separate_network_begins(monkeypatch, options, has_gpu, falls, be
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
     before = dataclasses.replace(FIGURES, **falls)
     assert adapt._is_separate(adapt.Options("spot", **options), before) is begins
+
+
+@pytest.mark.parametrize(
+    ("has_gpu", "falls", "counts"),
+    [(True, AT_ONCE, [16]), (True, LATER, [16, 64]), (True, {}, [16, 64]), (False, AT_ONCE, [64])],
+)
+def test_a_policy_that_falls_at_once_is_measured_no_further(monkeypatch, tmp_path, has_gpu, falls, counts):
+    """The separate network needs the time more."""
+    found = []
+
+    def measured(checkpoint, robots, changes, options, envs_per_robot=64):
+        found.append(envs_per_robot)
+        return {"unitree_h1": dataclasses.replace(FIGURES, **falls)}
+
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
+    monkeypatch.setattr(adapt, "_measured", measured)
+    adapt._start(adapt.Options("unitree_h1"), tmp_path, adapt.Progress())
+    assert found == counts
 
 
 def test_a_critic_goes_on_for_another_body():
