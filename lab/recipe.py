@@ -28,6 +28,9 @@ from polypod.runs import run_dir
 
 LIBRARY = Path(__file__).parents[1] / "assets" / "robots"
 
+DRAFTED = "--drafted"
+"""With the arguments of `polypod bodies generate`: gains, poses and limits of the drawn bodies are
+those that `polypod robot new` drafts."""
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -36,7 +39,8 @@ GRACE = 60.0
 class Stage:
     """A training.
 
-    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say.
+    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say. A table with
+    `each = { KEY = "VALUE" }` is a stage for each of them: `{key}` and `{value}` stand for both.
     """
 
     name: str
@@ -58,6 +62,8 @@ class Stage:
     """As after `--set`."""
     workers: int = 1
     """Processes with a GPU each."""
+    grown: bool = False
+    """Whether `init` is a perceptron of other numbers or joints (`lab.grown`)."""
     without: tuple[str, ...] = ()
     """Robots that are left out, also as drafts."""
     mean: Mapping[str, float] = field(default_factory=dict)
@@ -101,7 +107,7 @@ def read(folder: Path) -> Recipe:
     bodies = tuple(tuple(arguments) for arguments in plan.get("bodies", []))
 
     tables: dict[str, dict[str, Any]] = {}
-    for table in plan["stages"]:
+    for table in [stage for template in plan["stages"] for stage in _each(template)]:
         like = tables[table["like"]] if "like" in table else {}
         tables[table["name"]] = {**like, **{key: value for key, value in table.items() if key != "like"}}
 
@@ -116,6 +122,24 @@ def read(folder: Path) -> Recipe:
         bodies=bodies,
         drafts=tuple(plan.get("drafts", ())),
     )
+
+
+def _each(template: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tables that a table with `each` stands for; of another one itself."""
+    rest = {key: value for key, value in template.items() if key != "each"}
+
+    def filled(value: Any, names: Mapping[str, str]) -> Any:
+        if isinstance(value, str):
+            return value.replace("{key}", names["key"]).replace("{value}", names["value"])
+        if isinstance(value, list):
+            return [filled(item, names) for item in value]
+        if isinstance(value, dict):
+            return {filled(key, names): filled(item, names) for key, item in value.items()}
+        return value
+
+    if "each" not in template:
+        return [rest]
+    return [filled(rest, {"key": key, "value": value}) for key, value in template["each"].items()]
 
 
 def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> list[str]:
@@ -140,7 +164,7 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
     if stage.init:
-        words += ["--init", model(stage.init)]
+        words += ["--init", str(grown_of(stage, out)) if stage.grown else model(stage.init)]
     for change in stage.changes:
         words += ["--set", change]
     for names, teacher in stage.teachers.items():
@@ -150,6 +174,19 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
         for robot in robots(names.split(",")):
             words += ["--set", f"env_shares.{robot}={share}"]
     return words
+
+
+def grown_of(stage: Stage, out: Path) -> Path:
+    """The checkpoint that a stage with `grown` begins with."""
+    return out / f"{stage.name}_init.pt"
+
+
+def grow(recipe: Recipe, stage: Stage, out: Path) -> None:
+    """Writes the checkpoint that a stage with `grown` begins with."""
+    words = [sys.executable, "-m", "lab.grown", model_of(recipe, str(stage.init), out), str(grown_of(stage, out))]
+    words += ["--train-config", str(recipe.folder / stage.config)]
+    words += ["--robots", ",".join(recipe.robots(stage.robots, out, without=stage.without))]
+    subprocess.run(words, check=True, env=environment(recipe, out))
 
 
 def model_of(recipe: Recipe, name: str, out: Path) -> str:
@@ -195,8 +232,11 @@ def draw(recipe: Recipe, out: Path) -> None:
     """Draws the bodies and drafts the robots, if they are not there."""
     for number, arguments in enumerate(recipe.bodies):
         if not (folder := bodies_folder(out, number)).is_dir():
-            words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder), *arguments]
-            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+            words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder)]
+            subprocess.run([*words, *without_drafted(arguments)], check=True, stdout=subprocess.DEVNULL)
+            if DRAFTED in arguments:
+                for config in sorted((folder / "configs" / "robots").glob("*.toml")):
+                    draft_drawn(folder, config)
     for robot in recipe.drafts:
         if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
             config.parent.mkdir(parents=True, exist_ok=True)
@@ -208,6 +248,22 @@ def draw(recipe: Recipe, out: Path) -> None:
             subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
 
 
+def without_drafted(arguments: Sequence[str]) -> list[str]:
+    """Arguments of `polypod bodies generate`."""
+    return [word for word in arguments if word != DRAFTED]
+
+
+def draft_drawn(folder: Path, config: Path) -> None:
+    """Gives a drawn body the config that `polypod robot new` drafts, and keeps its reward set."""
+    rewards = tomllib.loads(config.read_text(encoding="utf-8"))["reward_set"]
+    words = [sys.executable, "-m", "polypod", "robot", "new", str(folder / "assets/robots" / config.stem / "robot.urdf")]
+    words += ["--name", config.stem, "--out", str(config), "--force"]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    lines = config.read_text(encoding="utf-8").splitlines()
+    own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
+    config.write_text("\n".join([*own, ""]), encoding="utf-8")
+
+
 def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, threads: int | None) -> str:
     """Trains a stage, until `ends_at` at most (`time.monotonic`); returns a line about it."""
     if (out / stage.name / "model.pt").is_file():
@@ -217,6 +273,8 @@ def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, thread
     began = time.monotonic()
     if ends_at is not None and began > ends_at:
         return f"{stage.name}: no time left"
+    if stage.grown:
+        grow(recipe, stage, out)
     with (out / f"{stage.name}.log").open("w") as log:
         run = subprocess.Popen(
             command(recipe, stage, out, threads), stdout=log, stderr=subprocess.STDOUT, env=environment(recipe, out)
