@@ -36,6 +36,9 @@ CRITIC_WARMUP = 10
 HOPELESS = 0.5
 """A separate network is worth its training where the policy falls in more than this share of the
 episodes, and before it ends any turn or stop."""
+GLANCE = 16
+"""Number of envs that tell whether a separate network is worth it: a policy under which every one
+falls is measured no further."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -207,7 +210,9 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
     neighbours = near[: options.neighbours]
     changes = _changes(manifest, robot, name, near[:1], options.overrides)
-    before = _measured(checkpoint, [robot, *neighbours], changes, options)
+    before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if _is_alone(options) else {}
+    if not before or not _is_separate(options, before[name]):
+        before = _measured(checkpoint, [robot, *neighbours], changes, options)
     other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
     if other is not None and not walks(before[name]):
         of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
@@ -302,9 +307,14 @@ def _is_separate(options: Options, before: Walking) -> bool:
     """Whether a separate network promises more than the policy; a given policy is kept."""
     if options.separate != "auto":
         return options.separate == "always"
-    is_bound = options.checkpoint is not None or options.neighbours > 0
     falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
-    return _has_gpu(options) and not is_bound and falls_at_once
+    return _is_alone(options) and falls_at_once
+
+
+def _is_alone(options: Options) -> bool:
+    """Whether the robot gets a separate network if the policy falls with it at once."""
+    is_bound = options.checkpoint is not None or options.neighbours > 0
+    return options.separate == "auto" and _has_gpu(options) and not is_bound
 
 
 def _own_train_config(options: Options) -> TrainConfig:
@@ -334,14 +344,18 @@ def _train_config(
 
 
 def _measured(
-    checkpoint: Path, robots: list[str] | None, changes: Sequence[str], options: Options
+    checkpoint: Path,
+    robots: list[str] | None,
+    changes: Sequence[str],
+    options: Options,
+    envs_per_robot: int = ENVS_PER_ROBOT,
 ) -> dict[str, Walking]:
     """Figures with the seed that selects nothing."""
     count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
     result = evaluate_checkpoint(
         checkpoint,
         robots,
-        num_envs=ENVS_PER_ROBOT * count,
+        num_envs=envs_per_robot * count,
         seed=CONFIRMING_SEED,
         threads=options.threads,
         overrides=changes,

@@ -6,6 +6,7 @@ roles of others, or none. An empty root above the base, with the right axes, men
 plane is moved.
 """
 
+import dataclasses
 import math
 from pathlib import Path
 from xml.etree import ElementTree
@@ -23,6 +24,15 @@ ADVANTAGE = 1.1
 hips, knees, ankles and elbows do."""
 ASIDE = 0.03
 """Least distance of a foot from the middle plane, m."""
+STRETCHED = 0.6
+"""A limb whose end is as far from its first joint, as a share of its length, is stretched."""
+SAME_REACH = 0.8
+"""Two limbs at least reach as far down, as a share of the farther one's reach: a pair of legs."""
+CLEARLY = 2.0
+"""Legs reach as many times farther in another direction than along -z."""
+LEAST_SHARE = 0.5
+"""Humanoids have about as many joints that turn about the axis up as about the one forward; joints
+of quadrupeds turn about the latter alone."""
 OFF = 0.01
 """A base frame is in the middle plane up to this distance, m."""
 SAME = 0.005
@@ -36,40 +46,143 @@ FARTHEST = 20.0
 
 
 def put_upright(robot: ElementTree.Element) -> str | None:
-    """Puts an empty root with the right axes above that of a URDF, where it lacks them.
+    """Puts an empty root with the right axes above that of a URDF whose joints pitch about x or z.
 
     Returns:
         A line that says what was assumed; None where the axes are right or unknown.
     """
-    frames, joints = _zero_pose(robot)
-    axes = [frames[joint.find("child").get("link")][0] @ _axis(joint) for joint in joints]  # type: ignore[union-attr]
-    if not axes or ROOT in frames:
+    found = _Axes.of(robot)
+    if found is None or ROOT in found.frames or found.lateral == 1 or not len(found.limbs):
         return None
-    shares = np.square(axes).mean(axis=0)
-    lateral = int(shares.argmax())
-    if lateral == 1 or shares[lateral] < ADVANTAGE * np.sort(shares)[1]:
-        return None
-    parents = _ends(robot, "parent")
-    ends = np.array([place for link, (_, place) in frames.items() if link not in parents])
-    ends = ends[np.abs(ends[:, lateral]) > ASIDE]
-    if not len(ends):
-        return None
-    across = [axis for axis in range(3) if axis != lateral]
-    _, up, sign = max((float((-way * ends[:, axis]).max()), axis, way) for axis in across for way in (1.0, -1.0))
-    (forward,) = (axis for axis in across if axis != up)
-    x, z = np.eye(3)[forward], sign * np.eye(3)[up]
-    turn = np.stack([x, np.cross(z, x), z])
-    root = next(str(link) for link in frames)
+    _, up, sign = found.down()
+    root = next(str(link) for link in found.frames)
+    turn = found.upright(up, sign).T
     ElementTree.SubElement(robot, "link", {"name": ROOT})
     joint = ElementTree.SubElement(robot, "joint", {"name": f"{ROOT}_joint", "type": "fixed"})
     ElementTree.SubElement(joint, "origin", {"xyz": "0 0 0", "rpy": " ".join(repr(angle) for angle in _angles(turn))})
     ElementTree.SubElement(joint, "parent", {"link": ROOT})
     ElementTree.SubElement(joint, "child", {"link": root})
-    names = "xyz"
-    return (
-        f'link "{root}": its joints pitch about {names[lateral]}, so {names[up] if sign > 0 else "-" + names[up]} is '
-        f"taken for up and {names[forward]} for forward; let its frame have x forward and z up"
-    )
+    return found.assumption(root, up, sign)
+
+
+def turn_upright(robot: ElementTree.Element) -> str | None:
+    """Turns the base's frame of a URDF whose joints pitch about y, and whose feet are not below.
+
+    The joints fit such a frame as well as one with z up, so the feet alone tell: legs are stretched
+    in the direction down, at zero.
+
+    Returns:
+        A line that says what was assumed; None where the axes are right or unknown.
+    """
+    link = _base(robot)
+    found = None if link is None else _Axes.of(robot, link.get("name"))
+    if link is None or found is None or found.lateral != 1:
+        return None
+    stretched = found.limbs[np.linalg.norm(found.limbs, axis=1) >= STRETCHED * found.lengths]
+    if len(stretched) < 2:
+        return None
+    found = dataclasses.replace(found, limbs=stretched)
+    reach, up, sign = found.down()
+    pair = np.sort(-sign * stretched[:, up])[-2:]
+    if (up, sign) == (2, 1.0) or pair[0] < SAME_REACH * reach or reach < CLEARLY * -float(stretched[:, 2].min()):
+        return None
+    if up == 0 and found.shares[2] < LEAST_SHARE * found.shares[0]:
+        # abduction turns about the axis forward, and about none that is up
+        return None
+    _turn(robot, link, found.upright(up, sign))
+    return found.assumption(str(link.get("name")), up, sign)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Axes:
+    """Axes and limbs of a robot at zero, in the frame of its root or of another link."""
+
+    frames: dict[str | None, tuple[Array, Array]]
+    """Turn and place of each link, in the root's frame."""
+    shares: Array
+    """Mean square of the axes of turning joints along x, y and z."""
+    lateral: int
+    """The axis to the left."""
+    limbs: Array
+    """From the first joint of each limb off the middle plane to its end, m."""
+    lengths: Array
+    """Lengths of the same limbs, over all joints, m."""
+
+    @classmethod
+    def of(cls, robot: ElementTree.Element, link: str | None = None) -> "_Axes | None":
+        """The axes of a robot whose joints clearly turn about one axis most, in a link's frame."""
+        frames, joints = _zero_pose(robot)
+        if not joints or (link is not None and link not in frames):
+            return None
+        own = np.eye(3) if link is None else frames[link][0]
+        axes = [frames[_child(joint)][0] @ _axis(joint) for joint in joints] @ own
+        shares = np.square(axes).mean(axis=0)
+        lateral = int(shares.argmax())
+        if shares[lateral] < ADVANTAGE * np.sort(shares)[1]:
+            return None
+        above = {_child(joint): joint.find("parent").get("link") for joint in robot.findall("joint")}  # type: ignore[union-attr]
+        turning = {_child(joint) for joint in joints}
+        limbs, lengths = [], []
+        for end in (link for link in frames if link not in _ends(robot, "parent")):
+            chain = [end]
+            while chain[-1] in above:
+                chain.append(above[chain[-1]])
+            places = np.array([frames[link][1] for link in chain]) @ own
+            first = max((at for at, link in enumerate(chain) if link in turning), default=None)
+            if first is not None and abs(places[0, lateral]) > ASIDE:
+                limbs.append(places[0] - places[first])
+                lengths.append(np.linalg.norm(np.diff(places[: first + 1], axis=0), axis=1).sum())
+        return cls(frames, shares, lateral, np.array(limbs).reshape(-1, 3), np.array(lengths))
+
+    def down(self) -> tuple[float, int, float]:
+        """How far the limbs reach downwards, m, and the axis that is up with its sign."""
+        across = [axis for axis in range(3) if axis != self.lateral]
+        return max((float((-way * self.limbs[:, axis]).max()), axis, way) for axis in across for way in (1.0, -1.0))
+
+    def upright(self, up: int, sign: float) -> Array:
+        """The axes of the upright frame in that frame, in the columns."""
+        x, z = np.eye(3)[self._forward(up)], sign * np.eye(3)[up]
+        return np.stack([x, np.cross(z, x), z]).T
+
+    def assumption(self, link: str, up: int, sign: float) -> str:
+        lateral, above, forward = ("xyz"[axis] for axis in (self.lateral, up, self._forward(up)))
+        above = above if sign > 0 else f"-{above}"
+        return (
+            f'link "{link}": its joints pitch about {lateral}, so {above} is taken for up and {forward} for forward; '
+            "let its frame have x forward and z up"
+        )
+
+    def _forward(self, up: int) -> int:
+        (forward,) = (axis for axis in range(3) if axis not in (self.lateral, up))
+        return forward
+
+
+def _base(robot: ElementTree.Element) -> ElementTree.Element | None:
+    """The body's link: the root, or the first one with inertia on a chain of fixed joints below."""
+    children = _ends(robot, "child")
+    roots = [link for link in robot.findall("link") if link.get("name") not in children]
+    links = {link.get("name"): link for link in robot.findall("link")}
+    while len(roots) == 1 and roots[0].find("inertial") is None:
+        below = [joint for joint in robot.findall("joint") if _parent(joint) == roots[0].get("name")]
+        roots = [links[_child(joint)] for joint in below if joint.get("type") == "fixed"] if len(below) == 1 else []
+    return roots[0] if len(roots) == 1 else None
+
+
+def _turn(robot: ElementTree.Element, link: ElementTree.Element, turn: Array) -> None:
+    """Turns the frame of a link, whose new axes are the columns; nothing in the world moves."""
+    name = link.get("name")
+    joints = robot.findall("joint")
+    below = [joint for joint in joints if _parent(joint) == name]
+    above = [joint for joint in joints if _child(joint) == name]
+    parts = [*link.findall("inertial"), *link.findall("visual"), *link.findall("collision"), *below]
+    for part, is_above in [*((part, False) for part in parts), *((joint, True) for joint in above)]:
+        origin = part.find("origin")
+        own, place = _pose(origin)
+        if origin is None:
+            origin = ElementTree.SubElement(part, "origin")
+        own, place = (own @ turn, place) if is_above else (turn.T @ own, turn.T @ place)
+        origin.set("xyz", " ".join(repr(float(number)) for number in place))
+        origin.set("rpy", " ".join(repr(angle) for angle in _angles(own)))
 
 
 def put_in_the_middle(robot: ElementTree.Element) -> str | None:
@@ -160,6 +273,14 @@ def _zero_pose(
             if joint.get("type") in TURNING:
                 joints.append(joint)
     return frames, joints
+
+
+def _parent(joint: ElementTree.Element) -> str | None:
+    return None if (end := joint.find("parent")) is None else end.get("link")
+
+
+def _child(joint: ElementTree.Element) -> str | None:
+    return None if (end := joint.find("child")) is None else end.get("link")
 
 
 def _ends(robot: ElementTree.Element, end: str) -> set[str | None]:

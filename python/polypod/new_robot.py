@@ -31,7 +31,7 @@ SAG = 0.3
 """Largest mean distance of a standing robot's joint from the default pose, rad. Makers' gains allow
 as much: ANYmal D gives way by 0.28 rad and Go2 by 0.26."""
 ON_TWO_LEGS = ("biped", "humanoid")
-"""Kinds whose gains `polypod.two_legs` has: a policy balances on them, and none are raised."""
+"""Kinds whose gains are those of `polypod.two_legs`, on which a policy balances."""
 STIFFER = 1.5
 """Factor on the gains for the next try."""
 TRIES = 4
@@ -76,6 +76,9 @@ class NewRobot:
     notes: list[str]
     """Assumptions, one line each."""
     standing: Standing
+    """On the gains of the config."""
+    pose_holds: bool
+    """Whether it stands in its pose; of two legs on stiff gains, which the config does not have."""
     gain_factor: float
     """On the gains that follow from weight and leg length."""
     kind: str
@@ -149,10 +152,10 @@ def new_robot(
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
 
-    def written(draft: Draft) -> str:
-        """The text of a config; its file holds the draft meanwhile."""
+    def written(draft: Draft, *, is_stiff: bool) -> str:
+        """The text of a config, on the draft's gains or, of two legs, on those of makers."""
         text = draft["toml"]
-        if draft["kind"] in ON_TWO_LEGS:
+        if not is_stiff:
             write_text(path, text)
             text = two_legs.with_gains(text, path)
         return text if refine is None else refine(text)
@@ -167,9 +170,9 @@ def new_robot(
         if attempt == 0:
             _check_place(path, draft["name"], force)
         try:
-            before, text = text, written(draft)
+            before, text = text, written(draft, is_stiff=True)
             if text == before:
-                # the gains are not the draft's, or a policy balances on them
+                # the gains are not the draft's
                 factor = 1.0
                 break
             write_text(path, text)
@@ -178,21 +181,29 @@ def new_robot(
         standing = stand(path, functools.partial(tell, f"try {attempt + 1}: stands"))
         if standing.holds or draft["needs_policy"]:
             break
-    needs = draft["needs_policy"]
+    needs, pose_holds = draft["needs_policy"], standing.holds
     if needs is None and not standing.holds and standing.lasted <= AT_ONCE:
         needs = "its episodes end as they begin: look at the height of its base and at the task's terminations"
-    elif needs is None and not standing.holds and draft["kind"] in ON_TWO_LEGS:
-        needs = "on these gains its ankles hold less than the moment of its weight as it leans: a policy balances it"
+    if draft["kind"] in ON_TWO_LEGS:
+        # stiff gains tell whether the pose is sound, and no more
+        factor = 1.0
+        draft = drafted(gain_factor=1.0)
+        write_text(path, written(draft, is_stiff=False))
+        standing = stand(path, functools.partial(tell, "last try: stands"))
+        if needs is None and not standing.holds:
+            stiff = "" if pose_holds else ", on stiff gains too"
+            needs = f"its ankles hold less than the moment of its weight as it leans{stiff}: a policy balances it"
     if standing.holds:
         needs = None
-    elif needs is not None and attempt > 0:
+    elif needs is not None and factor > 1.0:
         # softer gains move the better: stiffer ones did not help
         factor = 1.0
         draft = drafted(gain_factor=1.0)
-        write_text(path, written(draft))
+        write_text(path, written(draft, is_stiff=True))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
     notes = notes if copy is None else [*copy.notes, *notes]
-    return NewRobot(draft["name"], path, notes, standing, factor, draft["kind"], task_of(path) == TASK, needs)
+    name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
+    return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
 
 
 def robot_name(given: Path) -> str:
@@ -211,12 +222,7 @@ def _copy(
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
     links = bare_ends.add_boxes(robot, held)
-    upright = deepcopy(robot)
-    assumed = base_frames.put_upright(upright)
-    moved = base_frames.put_in_the_middle(upright)
-    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages):
-        upright, assumed = robot, None
-        moved = base_frames.put_in_the_middle(upright)
+    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
@@ -232,10 +238,42 @@ def _copy(
     return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
 
 
+def upright_of(
+    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str] = ()
+) -> tuple[ElementTree.Element, str | None, str | None]:
+    """A robot with its base's frame upright and in the middle.
+
+    Args:
+        urdf: the file that the robot was read from, for the names of its meshes.
+        robot: its tree, which stays as it is.
+        drafts_of: drafts a config for the file of a URDF; raises where there is none.
+        packages: ROS packages whose folders are known.
+
+    Returns:
+        The tree, and what was assumed of the axes and of the middle, None where nothing was.
+    """
+    upright = deepcopy(robot)
+    turned = base_frames.turn_upright(upright)
+    assumed = turned or base_frames.put_upright(upright)
+    moved = base_frames.put_in_the_middle(upright)
+    if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages, is_turned=turned is not None):
+        upright, assumed = deepcopy(robot), None
+        moved = base_frames.put_in_the_middle(upright)
+    return upright, assumed, moved
+
+
 def _is_taken(
-    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str]
+    urdf: Path,
+    robot: ElementTree.Element,
+    drafts_of: Callable[..., Draft],
+    packages: Collection[str],
+    *,
+    is_turned: bool,
 ) -> bool:
-    """Whether the joints of a robot fit its upright root better than the root of the file."""
+    """Whether the joints of a robot fit its upright root better than the root of the file.
+
+    A base that is turned itself fits if it has a draft.
+    """
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / "trial.urdf"
         trial.write_text(urdf_copies.text_of(deepcopy(robot), urdf.name, urdf, Path(folder), packages), "utf-8")
@@ -243,7 +281,7 @@ def _is_taken(
             notes = drafts_of(trial, urdf=trial.name)["notes"]
         except (_core.RobotError, _core.ConfigError):
             return False
-    return any(base_frames.is_taken(note) for note in notes)
+    return is_turned or any(base_frames.is_taken(note) for note in notes)
 
 
 def _drafts_on(

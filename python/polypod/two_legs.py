@@ -83,7 +83,7 @@ def part_of(slot: str) -> str:
 
 
 def with_gains(text: str, robot: Path) -> str:
-    """The text of a drafted config with the gains of this rule; unchanged for other numbers of legs.
+    """The text of a drafted config with these gains; that of other numbers of legs stays.
 
     Args:
         text: the draft.
@@ -114,7 +114,7 @@ def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> list[str]:
             effort = rounded((EFFORT["ANKLE"] if part_of(slot) == "ANKLE" else EFFORT_OF_LEGS) * load)
             effort_line = f"effort_limit = {effort!r}          # N m, assumed: the URDF's is no motor's"
         stiff = rounded(stiffness(slot, mass, height, effort))
-        own = (
+        own: tuple[str, ...] = (
             f"stiffness = {stiff!r}             # N m / rad",
             f"damping = {rounded(damping(slot, stiff))!r}               # N m s / rad",
             effort_line,
@@ -148,7 +148,7 @@ def _limits(lines: Sequence[str], slots: Collection[str]) -> dict[str, tuple[str
 
 
 def _pattern(members: Collection[str], slots: Collection[str]) -> tuple[str, list[str]]:
-    """A name for a group and the patterns of its slots, both sides in one where both are members."""
+    """A name for a group, and its patterns: one for both sides where both are members."""
     if len(members) == len(slots):
         return "legs", ["*"]
     roles: dict[str, str] = {}

@@ -7,14 +7,16 @@ the file says of actuators into the draft, and `judge` compares the robot with M
 
 import contextlib
 import dataclasses
+import functools
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
-from polypod import _core, new_robot, simulated
+from polypod import _core, base_frames, new_robot, simulated, urdf_copies
 from polypod.add import compiling, description, judge, kept, mjcf, sources, urdf
 from polypod.add.compiling import Compiled
 from polypod.add.description import Description
@@ -216,6 +218,9 @@ def _write(
     for mesh, data in read.meshes.items():
         write_bytes(assets / "meshes" / mesh, data)
     write_text(assets / "robot.urdf", read.urdf)
+    if read.described is None:
+        drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
+        read = _upright(read, assets / "robot.urdf", drafts_of)
     if read.model is not None:
         write_text(assets / kept.NAME, read.model)
     config = folder / "configs" / "robots" / f"{name}.toml"
@@ -237,9 +242,9 @@ def _write(
     described = read.described
     notes = list(read.notes)
     made = stood(None if described is None else _refinement(config, described, found.origin, posed=True))
-    if described is not None and described.pose is not None and not made.standing.holds:
+    if described is not None and described.pose is not None and not made.pose_holds:
         drafted = stood(_refinement(config, described, found.origin, posed=False))
-        if drafted.standing.holds:
+        if drafted.pose_holds:
             made = drafted
             notes.append(
                 f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in"
@@ -254,6 +259,31 @@ def _write(
         write_text(assets / "LICENSE", found.license)
     write_text(assets / "SOURCE.md", _source(name, read, found, notes, errors))
     return made, [*notes, *_summed_up(made.notes)], errors
+
+
+def _upright(read: _Found, file: Path, drafts_of: Callable[..., new_robot.Draft]) -> _Found:
+    """A URDF whose base has x forward and z up in the middle, which is written to its file."""
+    robot = urdf_copies.read(file)
+    if robot is None:
+        return read
+    try:
+        robot, *changes = new_robot.upright_of(file, robot, drafts_of)
+        notes = [change for change in changes if change is not None]
+        if not notes:
+            return read
+        original = ElementTree.fromstring(read.original)
+        if notes[0] == changes[0]:
+            base_frames.turn_upright(original) or base_frames.put_upright(original)
+        base_frames.put_in_the_middle(original)
+    except _core.PolypodError:
+        raise
+    except (ValueError, ElementTree.ParseError):
+        # the reader of URDFs says what is wrong
+        return read
+    text = urdf_copies.text_of(robot, "with an upright base in the middle", file, file.parent, ())
+    write_text(file, text)
+    original_text = ElementTree.tostring(original, encoding="unicode")
+    return dataclasses.replace(read, urdf=text, original=original_text, notes=[*read.notes, *notes])
 
 
 def _summed_up(notes: list[str]) -> list[str]:

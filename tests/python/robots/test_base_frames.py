@@ -10,6 +10,7 @@ from test_new_robot import quadruped
 
 from common import ROOT
 from polypod import _core, base_frames, urdf_copies
+from polypod.add import add, judge
 from polypod.new_robot import new_robot
 
 LIBRARY = sorted((ROOT / "assets" / "robots").glob("*/robot.urdf"))
@@ -17,6 +18,10 @@ FRAMES = {
     "y forward, z up": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
     "x forward, y up": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
     "z forward, y up": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "x forward, -z up": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "z forward, x up": ((0, 0, 1), (0, -1, 0), (1, 0, 0)),
+    "y forward, -z up": ((0, 1, 0), (1, 0, 0), (0, 0, -1)),
+    "y forward, x up": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
 }
 """Where the axes of the base forward, left and up point, in the columns."""
 
@@ -62,10 +67,55 @@ def test_a_turned_base_frame_is_put_upright(tmp_path, frame, robot):
     assert config["joint_roles"] == right["joint_roles"]
     assert config["feet"] == right["feet"]
     assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
-    forward, up = frame[0], frame[-4]
+    forward, up = frame[0], frame.split()[2]
     (note,) = (note for note in made.notes if "let its frame have x forward and z up" in note)
     assert f"so {up} is taken for up and {forward} for forward" in note
     assert not [note for note in made.notes if base_frames.ROOT in note]
+
+
+@pytest.mark.parametrize("rpy", ["0 0 0", "3.14159265358979 0 0"])
+@pytest.mark.parametrize("frame", ["x forward, -z up", "z forward, x up"])
+def test_a_turned_body_below_an_empty_root_is_put_upright(tmp_path, frame, rpy):
+    """The root may be turned against the body; the body's frame is the base's."""
+    known = tmp_path / "known.urdf"
+    known.write_text(quadruped())
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    root = (
+        f'<link name="origin"/><joint name="at" type="fixed"><origin xyz="0 0 0.1" rpy="{rpy}"/>'
+        '<parent link="origin"/><child link="trunk"/></joint></robot>'
+    )
+    text = turned(quadruped(), FRAMES[frame])
+    assert '<link name="trunk">' in text
+    other = tmp_path / "other.urdf"
+    other.write_text(text.replace("</robot>", root))
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    assert made.standing.holds
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.05])
+@pytest.mark.parametrize("robot", ["fox", "unitree_g1"])
+@pytest.mark.parametrize("frame", ["y forward, z up", "x forward, -z up", "z forward, x up"])
+def test_a_turned_robot_is_added_upright(tmp_path, frame, robot, aside):
+    """`polypod add` writes the upright file into the library, and MuJoCo agrees with it."""
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    known, other = tmp_path / "known.urdf", tmp_path / "other.urdf"
+    known.write_text(text)
+    other.write_text(turned(text, FRAMES[frame], aside))
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    added = add(str(other), tmp_path / "library", name="other")
+    config = tomllib.loads(added.new.path.read_text())
+    assert config["urdf"] == "assets/robots/other/robot.urdf"
+    assert config["joint_roles"] == right["joint_roles"]
+    assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
+    (note,) = (note for note in added.notes if "let its frame have x forward and z up" in note)
+    assert f"so {frame.split()[2]} is taken for up" in note
+    assert len([note for note in added.notes if "of the middle plane" in note]) == (aside > 0.0)
+    assert added.errors
+    for dtype, errors in added.errors.items():
+        assert errors.worst() <= judge.BOUNDS[dtype]
 
 
 @pytest.mark.parametrize("robot", ["fox", "unitree_go2", "unitree_g1"])

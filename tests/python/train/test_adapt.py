@@ -323,6 +323,24 @@ def test_when_a_separate_network_begins(monkeypatch, options, has_gpu, falls, be
     assert adapt._is_separate(adapt.Options("spot", **options), before) is begins
 
 
+@pytest.mark.parametrize(
+    ("has_gpu", "falls", "counts"),
+    [(True, AT_ONCE, [16]), (True, LATER, [16, 64]), (True, {}, [16, 64]), (False, AT_ONCE, [64])],
+)
+def test_a_policy_that_falls_at_once_is_measured_no_further(monkeypatch, tmp_path, has_gpu, falls, counts):
+    """The separate network needs the time more."""
+    found = []
+
+    def measured(checkpoint, robots, changes, options, envs_per_robot=64):
+        found.append(envs_per_robot)
+        return {"unitree_h1": dataclasses.replace(FIGURES, **falls)}
+
+    monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
+    monkeypatch.setattr(adapt, "_measured", measured)
+    adapt._start(adapt.Options("unitree_h1"), tmp_path, adapt.Progress())
+    assert found == counts
+
+
 def test_a_critic_goes_on_for_another_body():
     """The critic of ANYmal B without and with an arm.
 
