@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from polypod.compat import tomllib
 from polypod.runs import run_dir
 
 LIBRARY = Path(__file__).parents[1] / "assets" / "robots"
+TASK = "velocity_flat_any_legged_play"
 
 DRAFTED = "--drafted"
 """With the arguments of `polypod bodies generate`: gains, poses and limits of the drawn bodies are
@@ -82,6 +84,9 @@ class Recipe:
     """Arguments of `polypod bodies generate`, after the folder."""
     drafts: tuple[str, ...] = ()
     """Robots of the library that `polypod robot new` drafts from their URDF."""
+    locked: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
+    with a robot of `drafts` and patterns of slots."""
 
     def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
         """Robots that names and groups stand for, except some and their drafts."""
@@ -121,6 +126,7 @@ def read(folder: Path) -> Recipe:
         groups=plan.get("groups", {}),
         bodies=bodies,
         drafts=tuple(plan.get("drafts", ())),
+        locked=plan.get("locked", {}),
     )
 
 
@@ -243,9 +249,29 @@ def draw(recipe: Recipe, out: Path) -> None:
             # a config names its URDF by the way to it, which must be there on another machine
             own = out / "drafts" / "assets" / "robots" / robot
             shutil.copytree(LIBRARY / robot, own, dirs_exist_ok=True)
-            words = [sys.executable, "-m", "polypod", "robot", "new", str(own / "robot.urdf")]
-            words += ["--name", config.stem, "--out", str(config)]
-            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+            draft(own / "robot.urdf", config)
+    for name, variant in recipe.locked.items():
+        if not (config := out / "drafts" / "configs" / "robots" / f"{name}.toml").is_file():
+            whole = config.with_name(f"drafted_{variant['robot']}.toml")
+            draft(out / "drafts/assets/robots" / variant["robot"] / "robot.urdf", config, held(whole, variant["joints"]))
+
+
+def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
+    """Writes the config that `polypod robot new` drafts; `locked` are `JOINT=POSITION`."""
+    words = [sys.executable, "-m", "polypod", "robot", "new", str(urdf), "--name", config.stem, "--out", str(config)]
+    words += ["--force", *(word for joint in locked for word in ("--lock", joint))]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+
+
+def held(config: Path, patterns: Sequence[str]) -> list[str]:
+    """Joints of a config whose slots match, as `JOINT=POSITION` in the default pose."""
+    described = _core.VecSim(TASK, 1, robots=[str(config)], threads=1).robot_info()
+    (info,) = json.loads(described).values()
+    return [
+        f"{info['joint_names'][joint]}={info['default_pose'][joint]!r}"
+        for slot, joint in zip(info["slots"], info["joint_of_slot"], strict=True)
+        if any(fnmatchcase(slot, pattern) for pattern in patterns)
+    ]
 
 
 def without_drafted(arguments: Sequence[str]) -> list[str]:
@@ -256,9 +282,7 @@ def without_drafted(arguments: Sequence[str]) -> list[str]:
 def draft_drawn(folder: Path, config: Path) -> None:
     """Gives a drawn body the config that `polypod robot new` drafts, and keeps its reward set."""
     rewards = tomllib.loads(config.read_text(encoding="utf-8"))["reward_set"]
-    words = [sys.executable, "-m", "polypod", "robot", "new", str(folder / "assets/robots" / config.stem / "robot.urdf")]
-    words += ["--name", config.stem, "--out", str(config), "--force"]
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+    draft(folder / "assets" / "robots" / config.stem / "robot.urdf", config)
     lines = config.read_text(encoding="utf-8").splitlines()
     own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
     config.write_text("\n".join([*own, ""]), encoding="utf-8")
