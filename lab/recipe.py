@@ -33,6 +33,19 @@ TASK = "velocity_flat_any_legged_play"
 DRAFTED = "--drafted"
 """With the arguments of `polypod bodies generate`: gains, poses and limits of the drawn bodies are
 those that `polypod robot new` drafts."""
+VARIATION = """[variation]                  # factors of `body_variation`
+base_width = [0.92, 1.1]
+hip_offset = [0.9, 1.1]
+thigh_length = [0.92, 1.08]
+shank_length = [0.92, 1.08]
+base_mass = [0.85, 1.2]
+hip_mass = [0.8, 1.25]
+thigh_mass = [0.8, 1.25]
+shank_mass = [0.8, 1.25]
+stiffness = [0.8, 1.3]
+damping = [0.8, 1.25]
+"""
+"""What the configs of drafted drawn bodies end with."""
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -280,12 +293,12 @@ def without_drafted(arguments: Sequence[str]) -> list[str]:
 
 
 def draft_drawn(folder: Path, config: Path) -> None:
-    """Gives a drawn body the config that `polypod robot new` drafts, and keeps its reward set."""
+    """Gives a drawn body the config that `polypod robot new` drafts, with its reward set."""
     rewards = tomllib.loads(config.read_text(encoding="utf-8"))["reward_set"]
     draft(folder / "assets" / "robots" / config.stem / "robot.urdf", config)
     lines = config.read_text(encoding="utf-8").splitlines()
     own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
-    config.write_text("\n".join([*own, ""]), encoding="utf-8")
+    config.write_text("\n".join([*own, "", VARIATION]), encoding="utf-8")
 
 
 def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, threads: int | None) -> str:
