@@ -43,9 +43,8 @@ def grow(checkpoint: Path, task: str, robots: Sequence[str], overrides: Sequence
         out: file of the new checkpoint, which has no critic.
     """
     state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
-    old, new = state["actor_state_dict"], _core.VecSim(
-        task, SAMPLES, robots=list(robots), threads=1, overrides=list(overrides), seed=1
-    )
+    old = state["actor_state_dict"]
+    new = _core.VecSim(task, SAMPLES, robots=list(robots), threads=1, overrides=list(overrides), seed=1)
     before = simulation(manifest)
     last = max(key for key in old if key.startswith("mlp.") and key.endswith(".weight"))
     ratio = _scale(before) / _scale(new)

@@ -45,7 +45,7 @@ shank_mass = [0.8, 1.25]
 stiffness = [0.8, 1.3]
 damping = [0.8, 1.25]
 """
-"""What the configs of drafted drawn bodies end with."""
+"""End of the configs of drafted drawn bodies."""
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -266,7 +266,8 @@ def draw(recipe: Recipe, out: Path) -> None:
     for name, variant in recipe.locked.items():
         if not (config := out / "drafts" / "configs" / "robots" / f"{name}.toml").is_file():
             whole = config.with_name(f"drafted_{variant['robot']}.toml")
-            draft(out / "drafts/assets/robots" / variant["robot"] / "robot.urdf", config, held(whole, variant["joints"]))
+            urdf = out / "drafts" / "assets" / "robots" / variant["robot"] / "robot.urdf"
+            draft(urdf, config, held(whole, variant["joints"]))
 
 
 def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
