@@ -99,7 +99,8 @@ class Recipe:
     """Robots of the library that `polypod robot new` drafts from their URDF."""
     locked: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
-    with a robot of `drafts` and patterns of slots."""
+    with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]` with
+    `robots`, `suffix` and `joints` stands for one of each of these robots."""
 
     def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
         """Robots that names and groups stand for, except some and their drafts."""
@@ -139,8 +140,18 @@ def read(folder: Path) -> Recipe:
         groups=plan.get("groups", {}),
         bodies=bodies,
         drafts=tuple(plan.get("drafts", ())),
-        locked=plan.get("locked", {}),
+        locked={**plan.get("locked", {}), **_held(plan)},
     )
+
+
+def _held(plan: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The drafts with joints held that tables `[[held]]` stand for."""
+    found = {}
+    for table in plan.get("held", []):
+        for name in table["robots"]:
+            for robot in plan["groups"][name[1:]] if name.startswith("@") else [name]:
+                found[f"{robot}_{table['suffix']}"] = {"robot": robot, "joints": table["joints"]}
+    return found
 
 
 def _each(template: dict[str, Any]) -> list[dict[str, Any]]:
@@ -265,9 +276,25 @@ def draw(recipe: Recipe, out: Path) -> None:
             draft(own / "robot.urdf", config)
     for name, variant in recipe.locked.items():
         if not (config := out / "drafts" / "configs" / "robots" / f"{name}.toml").is_file():
-            whole = config.with_name(f"drafted_{variant['robot']}.toml")
-            urdf = out / "drafts" / "assets" / "robots" / variant["robot"] / "robot.urdf"
-            draft(urdf, config, held(whole, variant["joints"]))
+            draft_held(whole_of(recipe, variant["robot"], out), config, variant["joints"])
+
+
+def whole_of(recipe: Recipe, robot: str, out: Path) -> Path:
+    """The config of a draft of the library, or of a drawn body."""
+    if robot in recipe.drafts:
+        return out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml"
+    places = [bodies_folder(out, number) / "configs" / "robots" / f"{robot}.toml" for number in range(len(recipe.bodies))]
+    return next(place for place in places if place.is_file())
+
+
+def draft_held(whole: Path, config: Path, patterns: Sequence[str]) -> None:
+    """Drafts a robot whose joints are held where slots match, with ranges of `body_variation`."""
+    urdf = (whole.parent / tomllib.loads(whole.read_text(encoding="utf-8"))["urdf"]).resolve()
+    own = config.parents[2] / "assets" / "robots" / urdf.parent.name
+    if not own.is_dir():
+        shutil.copytree(urdf.parent, own)
+    draft(own / "robot.urdf", config, held(whole, patterns))
+    config.write_text(f"{config.read_text(encoding='utf-8')}\n{VARIATION}", encoding="utf-8")
 
 
 def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
