@@ -17,6 +17,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,24 @@ from polypod.compat import tomllib
 from polypod.runs import run_dir
 
 LIBRARY = Path(__file__).parents[1] / "assets" / "robots"
+TASK = "velocity_flat_any_legged_play"
 
+DRAFTED = "--drafted"
+"""With the arguments of `polypod bodies generate`: gains, poses and limits of the drawn bodies are
+those that `polypod robot new` drafts."""
+VARIATION = """[variation]                  # factors of `body_variation`
+base_width = [0.92, 1.1]
+hip_offset = [0.9, 1.1]
+thigh_length = [0.92, 1.08]
+shank_length = [0.92, 1.08]
+base_mass = [0.85, 1.2]
+hip_mass = [0.8, 1.25]
+thigh_mass = [0.8, 1.25]
+shank_mass = [0.8, 1.25]
+stiffness = [0.8, 1.3]
+damping = [0.8, 1.25]
+"""
+"""End of the configs of drafted drawn bodies."""
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -36,7 +54,8 @@ GRACE = 60.0
 class Stage:
     """A training.
 
-    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say.
+    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say. A table with
+    `each = { KEY = "VALUE" }` is a stage for each of them: `{key}` and `{value}` stand for both.
     """
 
     name: str
@@ -58,6 +77,8 @@ class Stage:
     """As after `--set`."""
     workers: int = 1
     """Processes with a GPU each."""
+    grown: bool = False
+    """Whether `init` is a perceptron of other numbers or joints (`lab.grown`)."""
     without: tuple[str, ...] = ()
     """Robots that are left out, also as drafts."""
     mean: Mapping[str, float] = field(default_factory=dict)
@@ -76,6 +97,10 @@ class Recipe:
     """Arguments of `polypod bodies generate`, after the folder."""
     drafts: tuple[str, ...] = ()
     """Robots of the library that `polypod robot new` drafts from their URDF."""
+    locked: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
+    with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]` with
+    `robots`, `suffix` and `joints` stands for one of each of these robots."""
 
     def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
         """Robots that names and groups stand for, except some and their drafts."""
@@ -101,7 +126,7 @@ def read(folder: Path) -> Recipe:
     bodies = tuple(tuple(arguments) for arguments in plan.get("bodies", []))
 
     tables: dict[str, dict[str, Any]] = {}
-    for table in plan["stages"]:
+    for table in [stage for template in plan["stages"] for stage in _each(template)]:
         like = tables[table["like"]] if "like" in table else {}
         tables[table["name"]] = {**like, **{key: value for key, value in table.items() if key != "like"}}
 
@@ -115,7 +140,36 @@ def read(folder: Path) -> Recipe:
         groups=plan.get("groups", {}),
         bodies=bodies,
         drafts=tuple(plan.get("drafts", ())),
+        locked={**plan.get("locked", {}), **_held(plan)},
     )
+
+
+def _held(plan: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The drafts with joints held that tables `[[held]]` stand for."""
+    found = {}
+    for table in plan.get("held", []):
+        for name in table["robots"]:
+            for robot in plan["groups"][name[1:]] if name.startswith("@") else [name]:
+                found[f"{robot}_{table['suffix']}"] = {"robot": robot, "joints": table["joints"]}
+    return found
+
+
+def _each(template: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tables that a table with `each` stands for; of another one itself."""
+    rest = {key: value for key, value in template.items() if key != "each"}
+
+    def filled(value: Any, names: Mapping[str, str]) -> Any:
+        if isinstance(value, str):
+            return value.replace("{key}", names["key"]).replace("{value}", names["value"])
+        if isinstance(value, list):
+            return [filled(item, names) for item in value]
+        if isinstance(value, dict):
+            return {filled(key, names): filled(item, names) for key, item in value.items()}
+        return value
+
+    if "each" not in template:
+        return [rest]
+    return [filled(rest, {"key": key, "value": value}) for key, value in template["each"].items()]
 
 
 def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> list[str]:
@@ -140,7 +194,7 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
     if stage.iterations is not None:
         words += ["--max-iterations", str(stage.iterations)]
     if stage.init:
-        words += ["--init", model(stage.init)]
+        words += ["--init", str(grown_of(stage, out)) if stage.grown else model(stage.init)]
     for change in stage.changes:
         words += ["--set", change]
     for names, teacher in stage.teachers.items():
@@ -150,6 +204,19 @@ def command(recipe: Recipe, stage: Stage, out: Path, threads: int | None) -> lis
         for robot in robots(names.split(",")):
             words += ["--set", f"env_shares.{robot}={share}"]
     return words
+
+
+def grown_of(stage: Stage, out: Path) -> Path:
+    """The checkpoint that a stage with `grown` begins with."""
+    return out / f"{stage.name}_init.pt"
+
+
+def grow(recipe: Recipe, stage: Stage, out: Path) -> None:
+    """Writes the checkpoint that a stage with `grown` begins with."""
+    words = [sys.executable, "-m", "lab.grown", model_of(recipe, str(stage.init), out), str(grown_of(stage, out))]
+    words += ["--train-config", str(recipe.folder / stage.config)]
+    words += ["--robots", ",".join(recipe.robots(stage.robots, out, without=stage.without))]
+    subprocess.run(words, check=True, env=environment(recipe, out))
 
 
 def model_of(recipe: Recipe, name: str, out: Path) -> str:
@@ -195,17 +262,71 @@ def draw(recipe: Recipe, out: Path) -> None:
     """Draws the bodies and drafts the robots, if they are not there."""
     for number, arguments in enumerate(recipe.bodies):
         if not (folder := bodies_folder(out, number)).is_dir():
-            words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder), *arguments]
-            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+            words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder)]
+            subprocess.run([*words, *without_drafted(arguments)], check=True, stdout=subprocess.DEVNULL)
+            if DRAFTED in arguments:
+                for config in sorted((folder / "configs" / "robots").glob("*.toml")):
+                    draft_drawn(folder, config)
     for robot in recipe.drafts:
         if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
             config.parent.mkdir(parents=True, exist_ok=True)
             # a config names its URDF by the way to it, which must be there on another machine
             own = out / "drafts" / "assets" / "robots" / robot
             shutil.copytree(LIBRARY / robot, own, dirs_exist_ok=True)
-            words = [sys.executable, "-m", "polypod", "robot", "new", str(own / "robot.urdf")]
-            words += ["--name", config.stem, "--out", str(config)]
-            subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+            draft(own / "robot.urdf", config)
+    for name, variant in recipe.locked.items():
+        if not (config := out / "drafts" / "configs" / "robots" / f"{name}.toml").is_file():
+            draft_held(whole_of(recipe, variant["robot"], out), config, variant["joints"])
+
+
+def whole_of(recipe: Recipe, robot: str, out: Path) -> Path:
+    """The config of a draft of the library, or of a drawn body."""
+    if robot in recipe.drafts:
+        return out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml"
+    places = [bodies_folder(out, number) / "configs" / "robots" / f"{robot}.toml" for number in range(len(recipe.bodies))]
+    return next(place for place in places if place.is_file())
+
+
+def draft_held(whole: Path, config: Path, patterns: Sequence[str]) -> None:
+    """Drafts a robot whose joints are held where slots match, with ranges of `body_variation`."""
+    urdf = (whole.parent / tomllib.loads(whole.read_text(encoding="utf-8"))["urdf"]).resolve()
+    own = config.parents[2] / "assets" / "robots" / urdf.parent.name
+    if not own.is_dir():
+        shutil.copytree(urdf.parent, own)
+    draft(own / "robot.urdf", config, held(whole, patterns))
+    config.write_text(f"{config.read_text(encoding='utf-8')}\n{VARIATION}", encoding="utf-8")
+
+
+def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
+    """Writes the config that `polypod robot new` drafts; `locked` are `JOINT=POSITION`."""
+    words = [sys.executable, "-m", "polypod", "robot", "new", str(urdf), "--name", config.stem, "--out", str(config)]
+    words += ["--force", *(word for joint in locked for word in ("--lock", joint))]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL)
+
+
+def held(config: Path, patterns: Sequence[str]) -> list[str]:
+    """Joints of a config whose slots match, as `JOINT=POSITION` in the default pose."""
+    described = _core.VecSim(TASK, 1, robots=[str(config)], threads=1).robot_info()
+    (info,) = json.loads(described).values()
+    return [
+        f"{info['joint_names'][joint]}={info['default_pose'][joint]!r}"
+        for slot, joint in zip(info["slots"], info["joint_of_slot"], strict=True)
+        if any(fnmatchcase(slot, pattern) for pattern in patterns)
+    ]
+
+
+def without_drafted(arguments: Sequence[str]) -> list[str]:
+    """Arguments of `polypod bodies generate`."""
+    return [word for word in arguments if word != DRAFTED]
+
+
+def draft_drawn(folder: Path, config: Path) -> None:
+    """Gives a drawn body the config that `polypod robot new` drafts, with its reward set."""
+    rewards = tomllib.loads(config.read_text(encoding="utf-8"))["reward_set"]
+    draft(folder / "assets" / "robots" / config.stem / "robot.urdf", config)
+    lines = config.read_text(encoding="utf-8").splitlines()
+    own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
+    config.write_text("\n".join([*own, "", VARIATION]), encoding="utf-8")
 
 
 def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, threads: int | None) -> str:
@@ -217,6 +338,8 @@ def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, thread
     began = time.monotonic()
     if ends_at is not None and began > ends_at:
         return f"{stage.name}: no time left"
+    if stage.grown:
+        grow(recipe, stage, out)
     with (out / f"{stage.name}.log").open("w") as log:
         run = subprocess.Popen(
             command(recipe, stage, out, threads), stdout=log, stderr=subprocess.STDOUT, env=environment(recipe, out)

@@ -6,16 +6,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 from common import ROOT
-from lab import recipe
+from lab import grown, recipe
 from polypod import _core, bundled
+from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions.tracking import terms_of_task
+from polypod.networks.policies import NetworkPolicy, load_network
 from polypod.new_robot import new_robot
 from polypod.runs import config, run_dir
+from polypod.training.transfer import numbers_of
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """
@@ -151,6 +155,10 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     drafts.mkdir(parents=True)
     for name in plan.drafts:
         new_robot(recipe.LIBRARY / name / "robot.urdf", drafts / f"drafted_{name}.toml")
+    for name, variant in plan.locked.items():
+        whole = drafts / f"drafted_{variant['robot']}.toml"
+        joints = recipe.held(whole, variant["joints"])
+        recipe.draft(recipe.LIBRARY / variant["robot"] / "robot.urdf", drafts / f"{name}.toml", joints)
     monkeypatch.setenv("POLYPOD_PATH", os.pathsep.join([str(tmp_path), *recipe.packages(plan)]))
     library = {entry["name"] for entry in _core.robots()}
     drawn = tuple(f"{words[words.index('--prefix') + 1]}_" for words in plan.bodies)
@@ -197,6 +205,69 @@ robots = ["@dogs", "drafted_solo12", "spot"]
     assert words[words.index("--robots") + 1] == "spot"
     assert "sim.episode_length_s=0.4" in words
     assert not [word for word in words if "solo12" in word]
+
+
+def test_a_table_may_stand_for_many_stages(tmp_path):
+    text = (
+        PLAN
+        + """
+[[stages]]
+name = "{key}_longer"
+each = { solo = "solo12", dog = "spot" }
+like = "student"
+init = "{key}"
+robots = ["{value}", "drafted_{value}"]
+shares = { "{value}" = 2 }
+"""
+    )
+    (tmp_path / "plan.toml").write_text(text)
+    solo, dog = recipe.read(tmp_path).stages[-2:]
+    assert (solo.name, solo.init, solo.robots) == ("solo_longer", "solo", ("solo12", "drafted_solo12"))
+    assert (dog.name, dog.init, dog.shares) == ("dog_longer", "dog", {"spot": 2})
+    assert dog.config == "student.toml"
+
+
+def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
+    words = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "d", "--wide")
+    plan = recipe.Recipe(
+        folder=tmp_path,
+        stages=(),
+        groups={},
+        bodies=((*words, recipe.DRAFTED), words),
+        drafts=("bolt",),
+        locked={"stiff": {"robot": "bolt", "joints": ["*_HIP_ROLL"]}},
+    )
+    recipe.draw(plan, tmp_path)
+    drafted, drawn = (recipe.bodies_folder(tmp_path, n) / "configs" / "robots" / "d_biped_0.toml" for n in (0, 1))
+    assert "Drafted by" in drafted.read_text()
+    assert "Drafted by" not in drawn.read_text()
+    tables = [tomllib.loads(file.read_text()) for file in (drafted, drawn)]
+    assert tables[0]["reward_set"] == tables[1]["reward_set"]
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "drafts"))
+    infos = json.loads(_core.VecSim(recipe.TASK, 2, robots=["drafted_bolt", "stiff"], threads=1).robot_info())
+    whole, stiff = infos["drafted_bolt"], infos["stiff"]
+    assert [slot for slot in whole["slots"] if "HIP_ROLL" not in slot] == stiff["slots"]
+    assert stiff["mass"] == pytest.approx(whole["mass"])
+
+
+def test_a_grown_perceptron_moves_the_joints_as_before(made, tmp_path, monkeypatch):
+    """Solo 12's teacher with Spot's joints, action scale and description."""
+    monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "wide"))
+    task = "velocity_flat_wide_teacher"
+    grown.grow(made[1] / "teacher" / "model.pt", task, ["spot"], [], tmp_path / "grown.pt")
+    manifest = json.loads((made[1] / "teacher" / "manifest.json").read_text())
+    before, after = grown.simulation(manifest), _core.VecSim(task, 1, robots=["spot"], threads=1)
+    known, wanted = (numbers_of(sim, ["policy"]) for sim in (before, after))
+    seen = np.random.default_rng(1).standard_normal(len(wanted)).astype(np.float32)
+    scale = 0.25 / 0.2
+    told = [seen[wanted.index(number)] / (scale if number[1] == "last_action" else 1.0) for number in known]
+    file = torch.load(made[1] / "teacher" / "model.pt", weights_only=True)
+    new = torch.load(tmp_path / "grown.pt", weights_only=True)
+    policy = {**manifest["policy"], "num_obs": len(wanted)}
+    old_net, new_net = load_network(file, manifest["policy"]), load_network(new, policy)
+    old = NetworkPolicy(old_net, len(known))(np.array([told], dtype=np.float32))
+    assert NetworkPolicy(new_net, len(wanted))(seen[None]) == pytest.approx(old * scale, rel=1e-3, abs=1e-4)
+    assert float(new["actor_state_dict"]["distribution.std_param"].min()) >= grown.LEAST_STD
 
 
 def test_iterations_take_the_place_of_the_plans(made, tmp_path):
