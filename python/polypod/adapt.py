@@ -42,8 +42,9 @@ falls is measured no further."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
-EVERY = 10
-"""Iterations between two measurements."""
+EVERY, EVERY_SEPARATE = 10, 40
+"""Iterations between two measurements; those of a separate network, which begins from scratch, are
+shorter and more."""
 FOUR_LEGS, OTHERS = "quadruped", "legged"
 """Bundled policies to begin with."""
 URDF = ".urdf"
@@ -63,7 +64,8 @@ class Options:
     neighbours: int = 0
     """Robots of the library to train with, so that nothing is forgotten."""
     max_minutes: float = MAX_MINUTES
-    every: int = EVERY
+    every: int | None = None
+    """Iterations between two measurements; None: `EVERY`, or `EVERY_SEPARATE`."""
     train_config: str | None = None
     """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
     network."""
@@ -163,14 +165,14 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         if given.suffix != URDF:
             shutil.rmtree(run, ignore_errors=True)
         return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
+    is_separate = _is_separate(options, before[name])
     goal = UntilWalks(
-        options.every,
+        options.every or (EVERY_SEPARATE if is_separate else EVERY),
         wanted,
         say=lambda point: reporter.message(progress_line(point, wanted)),
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
     )
-    is_separate = _is_separate(options, before[name])
     if is_separate:
         reporter.message(f"{name}: a separate network begins from scratch")
     of_run, plan = _plan(options, start, run, is_separate)
@@ -237,7 +239,8 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     if is_separate:
         train_config = _own_train_config(options)
         task = {"task": train_config.run.task, "overrides": []}
-        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides)
+        own_set = _set_of_two_legs(start.robot)
+        changes = _changes(task, start.robot, start.name, start.nearest, options.overrides, own_set)
     else:
         manifest = run_dir.read_manifest(start.checkpoint)
         # shares of the training alone, which no evaluation needs
@@ -283,18 +286,38 @@ def _other_policy(checkpoint: Path) -> Path | None:
     return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
 
 
+def _set_of_two_legs(robot: str) -> str | None:
+    """The reward set in units of the body of a robot on two legs; None for other numbers."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
+    (info,) = simulated.robots(sim).values()
+    if len(info["legs"]) != 2:
+        return None
+    return "two_legs" if any("_ANKLE_PITCH" in slot for slot in info["slots"]) else "two_points"
+
+
 def _changes(
-    manifest: Mapping[str, Any], robot: str, name: str, nearest: Sequence[str], given: Sequence[str]
+    manifest: Mapping[str, Any],
+    robot: str,
+    name: str,
+    nearest: Sequence[str],
+    given: Sequence[str],
+    own_set: str | None = None,
 ) -> list[str]:
-    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task."""
+    """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task.
+
+    The set is `own_set`, or that of the robot which is described most like it.
+    """
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
-    if robot.endswith(".toml") and nearest:
+    key = f"robot_overrides.{name}.reward_set"
+    if robot.endswith(".toml") and own_set is not None:
+        of_robot = [f"{key}={own_set}"]
+    elif robot.endswith(".toml") and nearest and not any(change.startswith(f"{key}=") for change in trained):
         # a draft names a set of another task; the robot that is described most like it has this
         # task's
         sim = _core.VecSim(manifest["task"], 1, robots=list(nearest), threads=1, overrides=trained)
         (like,) = simulated.config(sim)["robots"].values()
-        of_robot = [f"robot_overrides.{name}.reward_set={like['reward_set']}"]
+        of_robot = [f"{key}={like['reward_set']}"]
     of_task, _ = config.split_overrides(given)
     return [*trained, *of_robot, *of_task]
 

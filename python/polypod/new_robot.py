@@ -140,7 +140,9 @@ def new_robot(
         try:
             base_frames.check_units(urdf, tree)
             # a library's own copy of a URDF stays what the file says
-            copy = None if urdf_key else _copy(urdf, tree, folder, drafts_of, locked_joints or {}, package_dirs or {})
+            held, packages = locked_joints or {}, package_dirs or {}
+            if not urdf_key:
+                copy = _copy(urdf, tree, folder, drafts_of, held, packages, keeps_up=bool(joint_roles))
         except _core.PolypodError:
             raise
         except ValueError:
@@ -152,13 +154,19 @@ def new_robot(
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
 
+    motors: list[str] = []
+
     def written(draft: Draft, *, is_stiff: bool) -> str:
         """The text of a config, on the draft's gains or, of two legs, on those of makers."""
         text = draft["toml"]
         if not is_stiff:
             write_text(path, text)
-            text = two_legs.with_gains(text, path)
-        return text if refine is None else refine(text)
+            text, motors[:] = two_legs.with_gains(text, path)
+        text = text if refine is None else refine(text)
+        if two_legs.ASSUMED not in text:
+            # limits come from a file that has them
+            motors.clear()
+        return text
 
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
@@ -201,7 +209,7 @@ def new_robot(
         draft = drafted(gain_factor=1.0)
         write_text(path, written(draft, is_stiff=True))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
-    notes = notes if copy is None else [*copy.notes, *notes]
+    notes = [*(copy.notes if copy is not None else []), *notes, *motors]
     name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
     return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
 
@@ -219,10 +227,12 @@ def _copy(
     drafts_of: Callable[..., Draft],
     held: Collection[str],
     packages: Collection[str],
+    *,
+    keeps_up: bool,
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
     links = bare_ends.add_boxes(robot, held)
-    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages)
+    upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages, keeps_up=keeps_up)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
@@ -239,7 +249,12 @@ def _copy(
 
 
 def upright_of(
-    urdf: Path, robot: ElementTree.Element, drafts_of: Callable[..., Draft], packages: Collection[str] = ()
+    urdf: Path,
+    robot: ElementTree.Element,
+    drafts_of: Callable[..., Draft],
+    packages: Collection[str] = (),
+    *,
+    keeps_up: bool,
 ) -> tuple[ElementTree.Element, str | None, str | None]:
     """A robot with its base's frame upright and in the middle.
 
@@ -248,12 +263,14 @@ def upright_of(
         robot: its tree, which stays as it is.
         drafts_of: drafts a config for the file of a URDF; raises where there is none.
         packages: ROS packages whose folders are known.
+        keeps_up: whether legs that point away from -z stay: roles that are named tell more than
+            where feet are.
 
     Returns:
         The tree, and what was assumed of the axes and of the middle, None where nothing was.
     """
     upright = deepcopy(robot)
-    turned = base_frames.turn_upright(upright)
+    turned = None if keeps_up else base_frames.turn_upright(upright)
     assumed = turned or base_frames.put_upright(upright)
     moved = base_frames.put_in_the_middle(upright)
     if assumed is not None and not _is_taken(urdf, upright, drafts_of, packages, is_turned=turned is not None):

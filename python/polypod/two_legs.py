@@ -45,6 +45,8 @@ EFFORT_OF_LEGS = 0.38
 LEAST_EFFORT = 0.15
 """Legs of one effort limit below this share of the load state no motor's: exporters write 1 N m
 into every joint. Knees of makers have 0.36 and more."""
+ASSUMED = "assumed: the URDF's is no motor's"
+"""Comment on such a limit in the config."""
 LISTED = 3
 """Number of roles up to which the name of a group lists them."""
 
@@ -82,8 +84,10 @@ def part_of(slot: str) -> str:
     return "ANKLE" if "_ANKLE" in slot else "LEG"
 
 
-def with_gains(text: str, robot: Path) -> str:
-    """The text of a drafted config with these gains; that of other numbers of legs stays.
+def with_gains(text: str, robot: Path) -> tuple[str, list[str]]:
+    """The text of a drafted config with these gains, and what was assumed of its motors.
+
+    Drafts with another number of legs stay as they are.
 
     Args:
         text: the draft.
@@ -92,15 +96,16 @@ def with_gains(text: str, robot: Path) -> str:
     sim = _core.VecSim("velocity_flat_any_legged_play", 1, robots=[str(robot)], threads=1)
     (info,) = json.loads(sim.robot_info()).values()
     if len(info["legs"]) != 2:
-        return text
+        return text, []
     lines = text.splitlines()
     start = next(at for at, line in enumerate(lines) if line.startswith("[actuators."))
     end = next(at for at, line in enumerate(lines) if at > start and not line)
-    return "\n".join([*lines[:start], *_groups(lines[start:end], info), *lines[end:], ""])
+    groups, notes = _groups(lines[start:end], info)
+    return "\n".join([*lines[:start], *groups, *lines[end:], ""]), notes
 
 
-def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> list[str]:
-    """The tables of the actuators: joints of equal gains and limits in one group each."""
+def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The tables of the actuators, joints of equal gains and limits in one each; and notes."""
     mass, height = info["mass"], info["base_height"] + info["hip_height"]
     load = mass * GRAVITY * height
     slots = dict(zip(info["slots"], info["joint_of_slot"], strict=True))
@@ -108,11 +113,13 @@ def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> list[str]:
     is_placeholder = len(stated) == 1 and max(stated) < LEAST_EFFORT * load
     groups: dict[tuple[str, ...], list[str]] = {}
     limits = _limits(lines, slots)
+    replaced: dict[float, list[str]] = {}
     for slot, joint in slots.items():
         effort, effort_line, speed_line = info["effort_limit"][joint], *limits[slot]
         if is_placeholder and effort in stated:
             effort = rounded((EFFORT["ANKLE"] if part_of(slot) == "ANKLE" else EFFORT_OF_LEGS) * load)
-            effort_line = f"effort_limit = {effort!r}          # N m, assumed: the URDF's is no motor's"
+            effort_line = f"effort_limit = {effort!r}          # N m, {ASSUMED}"
+            replaced.setdefault(effort, []).append(info["joint_names"][joint])
         stiff = rounded(stiffness(slot, mass, height, effort))
         own: tuple[str, ...] = (
             f"stiffness = {stiff!r}             # N m / rad",
@@ -130,7 +137,12 @@ def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> list[str]:
         names.append(name)
         out += [f"[actuators.{name}]", f"joints = {json.dumps(patterns)}"]
         out += ['model = "ideal_pd"            # ideal_pd | dc_motor | delayed_pd', *own]
-    return out
+    notes = [
+        f"[actuators]: the URDF's effort limit of {max(stated):g} N m is no motor's, for {', '.join(joints)}; "
+        f"{effort} N m follow from weight and hip height: write the motor's"
+        for effort, joints in replaced.items()
+    ]
+    return out, notes
 
 
 def _limits(lines: Sequence[str], slots: Collection[str]) -> dict[str, tuple[str, str]]:

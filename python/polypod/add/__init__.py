@@ -220,7 +220,7 @@ def _write(
     write_text(assets / "robot.urdf", read.urdf)
     if read.described is None:
         drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
-        read = _upright(read, assets / "robot.urdf", drafts_of)
+        read = _upright(read, assets / "robot.urdf", drafts_of, keeps_up=bool(roles))
     if read.model is not None:
         write_text(assets / kept.NAME, read.model)
     config = folder / "configs" / "robots" / f"{name}.toml"
@@ -261,19 +261,19 @@ def _write(
     return made, [*notes, *_summed_up(made.notes)], errors
 
 
-def _upright(read: _Found, file: Path, drafts_of: Callable[..., new_robot.Draft]) -> _Found:
+def _upright(read: _Found, file: Path, drafts_of: Callable[..., new_robot.Draft], *, keeps_up: bool) -> _Found:
     """A URDF whose base has x forward and z up in the middle, which is written to its file."""
     robot = urdf_copies.read(file)
     if robot is None:
         return read
     try:
-        robot, *changes = new_robot.upright_of(file, robot, drafts_of)
+        robot, *changes = new_robot.upright_of(file, robot, drafts_of, keeps_up=keeps_up)
         notes = [change for change in changes if change is not None]
         if not notes:
             return read
         original = ElementTree.fromstring(read.original)
         if notes[0] == changes[0]:
-            base_frames.turn_upright(original) or base_frames.put_upright(original)
+            (None if keeps_up else base_frames.turn_upright(original)) or base_frames.put_upright(original)
         base_frames.put_in_the_middle(original)
     except _core.PolypodError:
         raise

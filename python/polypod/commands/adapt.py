@@ -40,8 +40,8 @@ class Adapt:
     them."""
     max_minutes: float = 15.0
     """End after this many minutes, drafting and measuring included."""
-    every: int = 10
-    """Iterations between two measurements."""
+    every: Count = None
+    """Iterations between two measurements. Default: 10; 40 of a separate network."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
     the policy's. Default: adapt; with a GPU adapt_on_gpu; for a separate network adapt_separate,

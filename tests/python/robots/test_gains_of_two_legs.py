@@ -136,6 +136,10 @@ def test_an_effort_limit_that_an_exporter_wrote_into_every_joint_is_no_motors(tm
         for key in ("effort_limit", "stiffness"):
             assert 0.4 < drafted[key][joint] / known[key][joint] < 2.5 or two_legs.part_of(slot) == "ARM", (slot, key)
     assert "assumed: the URDF's is no motor's" in made.path.read_text()
+    told = [note for note in made.notes if "the URDF's effort limit of 1 N m is no motor's, for " in note]
+    assert {name for name in drafted["joint_names"] if any(name in note for note in told)} == set(
+        drafted["joint_names"]
+    )
 
 
 def write(file, text):

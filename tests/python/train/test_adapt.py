@@ -281,6 +281,24 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
     assert manifest["overrides"] == []
 
 
+@pytest.mark.parametrize(("robot", "own_set"), [("berkeley_humanoid", "two_legs"), ("bolt", "two_points")])
+def test_a_separate_network_on_two_legs_is_paid_in_units_of_the_body(cli, tmp_path, measured, robot, own_set):
+    """A draft has no set of its task, and the nearest robot's may be for ten times its weight."""
+    shutil.copy(_core_urdf(robot), tmp_path / "my_biped.urdf")
+    measured(bad(0.4), FIGURES, FIGURES)
+    (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"adapt_separate"'))
+    done = cli("adapt", "my_biped.urdf", "--separate", "always", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    (run,) = tmp_path.glob("logs/rsl_rl/adapt/*_my_biped")
+    resolved = tomllib.loads((run / "params" / "env.toml").read_text())
+    assert resolved["robots"]["my_biped"]["reward_set"] == own_set
+    # the changes of the train config count in the training alone
+    assert resolved["task"]["rewards"]["two_legs"]["scaled_torques_l2"]["weight"] == -1.0
+    assert json.loads((run / "manifest.json").read_text())["overrides"] == [
+        f"robot_overrides.my_biped.reward_set={own_set}"
+    ]
+
+
 def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_path, measured, monkeypatch):
     falls = dataclasses.replace(bad(0.4), **AT_ONCE)
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
@@ -301,6 +319,15 @@ def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_p
     done = cli(*words, *FLAGS)
     assert done.returncode == 0, done.stderr
     assert f"begins with {unfinished.relative_to(tmp_path)}" in " ".join(done.stdout.split())
+
+
+def test_a_network_that_goes_on_keeps_its_reward_set():
+    """A set in units of the body gives way to no other robot's."""
+    own = "robot_overrides.my_biped.reward_set=two_legs"
+    manifest = {"task": "velocity_flat_teacher", "overrides": [own]}
+    arguments = ("folder/my_biped.toml", "my_biped", ["unitree_h1"], ["sim.dt=0.005"])
+    assert adapt._changes(manifest, *arguments) == [own, "sim.dt=0.005"]
+    assert adapt._changes({**manifest, "overrides": []}, *arguments)[0] == own.replace("two_legs", "h1")
 
 
 @pytest.mark.parametrize(
