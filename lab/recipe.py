@@ -99,8 +99,8 @@ class Recipe:
     """Robots of the library that `polypod robot new` drafts from their URDF."""
     locked: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
-    with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]` with
-    `robots`, `suffix` and `joints` stands for one of each of these robots."""
+    with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]`
+    with `robots`, `suffix` and `joints` stands for one of each of these robots."""
 
     def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
         """Robots that names and groups stand for, except some and their drafts."""
@@ -283,7 +283,9 @@ def whole_of(recipe: Recipe, robot: str, out: Path) -> Path:
     """The config of a draft of the library, or of a drawn body."""
     if robot in recipe.drafts:
         return out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml"
-    places = [bodies_folder(out, number) / "configs" / "robots" / f"{robot}.toml" for number in range(len(recipe.bodies))]
+    places = [
+        bodies_folder(out, number) / "configs" / "robots" / f"{robot}.toml" for number in range(len(recipe.bodies))
+    ]
     return next(place for place in places if place.is_file())
 
 

@@ -155,13 +155,15 @@ def test_recipes_can_be_run(folder, tmp_path, monkeypatch):
     drafts.mkdir(parents=True)
     for name in plan.drafts:
         new_robot(recipe.LIBRARY / name / "robot.urdf", drafts / f"drafted_{name}.toml")
+    drawn = tuple(f"{words[words.index('--prefix') + 1]}_" for words in plan.bodies)
     for name, variant in plan.locked.items():
+        if variant["robot"].startswith(drawn):
+            continue
         whole = drafts / f"drafted_{variant['robot']}.toml"
         joints = recipe.held(whole, variant["joints"])
         recipe.draft(recipe.LIBRARY / variant["robot"] / "robot.urdf", drafts / f"{name}.toml", joints)
     monkeypatch.setenv("POLYPOD_PATH", os.pathsep.join([str(tmp_path), *recipe.packages(plan)]))
     library = {entry["name"] for entry in _core.robots()}
-    drawn = tuple(f"{words[words.index('--prefix') + 1]}_" for words in plan.bodies)
     known, tasks = set(bundled.NAMES), {}
     for stage in plan.stages:
         if stage.mean:
@@ -227,6 +229,16 @@ shares = { "{value}" = 2 }
     assert dog.config == "student.toml"
 
 
+def test_joints_are_held_of_a_group_of_robots(tmp_path):
+    text = PLAN + '[[held]]\nrobots = ["@dogs", "spot"]\nsuffix = "stiff"\njoints = ["*_HAA"]\n'
+    (tmp_path / "plan.toml").write_text(text)
+    joints = ["*_HAA"]
+    assert recipe.read(tmp_path).locked == {
+        "solo12_stiff": {"robot": "solo12", "joints": joints},
+        "spot_stiff": {"robot": "spot", "joints": joints},
+    }
+
+
 def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
     words = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "d", "--wide")
     plan = recipe.Recipe(
@@ -235,7 +247,10 @@ def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
         groups={},
         bodies=((*words, recipe.DRAFTED), words),
         drafts=("bolt",),
-        locked={"stiff": {"robot": "bolt", "joints": ["*_HIP_ROLL"]}},
+        locked={
+            "stiff": {"robot": "bolt", "joints": ["*_HIP_ROLL"]},
+            "rigid": {"robot": "d_biped_0", "joints": ["*_HIP_ROLL"]},
+        },
     )
     recipe.draw(plan, tmp_path)
     drafted, drawn = (recipe.bodies_folder(tmp_path, n) / "configs" / "robots" / "d_biped_0.toml" for n in (0, 1))
@@ -244,10 +259,14 @@ def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
     tables = [tomllib.loads(file.read_text()) for file in (drafted, drawn)]
     assert tables[0]["reward_set"] == tables[1]["reward_set"]
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "drafts"))
-    infos = json.loads(_core.VecSim(recipe.TASK, 2, robots=["drafted_bolt", "stiff"], threads=1).robot_info())
-    whole, stiff = infos["drafted_bolt"], infos["stiff"]
-    assert [slot for slot in whole["slots"] if "HIP_ROLL" not in slot] == stiff["slots"]
-    assert stiff["mass"] == pytest.approx(whole["mass"])
+    robots = ["drafted_bolt", "stiff", str(drafted), "rigid"]
+    infos = json.loads(_core.VecSim(recipe.TASK, 4, robots=robots, threads=1).robot_info())
+    for whole, fewer in (
+        (infos["drafted_bolt"], infos["stiff"]),
+        (infos["d_biped_0"], infos["rigid"]),
+    ):
+        assert [slot for slot in whole["slots"] if "HIP_ROLL" not in slot] == fewer["slots"]
+        assert fewer["mass"] == pytest.approx(whole["mass"])
 
 
 def test_a_grown_perceptron_moves_the_joints_as_before(made, tmp_path, monkeypatch):
