@@ -943,7 +943,7 @@ class VecSim:
         """Sets the weight of a reward term of the robot's set from the next step on.
 
         Snapshots do not hold it. Raises UnknownNameError for another robot, and ConfigError for
-        another term and for a weight out of range.
+        another term, for a weight out of range, and where the task's curriculum sets the weight.
         """
 
     def reward_weights(self, robot: str) -> dict[str, float]:
@@ -961,7 +961,7 @@ class VecSim:
 
         Commands that are sampled later lie in them. None leaves a range as it is. Snapshots do not
         hold them. Raises UnknownNameError for another robot, and ConfigError for a range that is
-        none.
+        none, or where stages of the task's curriculum set the ranges.
         """
 
     def set_terrain_levels(self, levels: npt.NDArray[np.int64]) -> None:

@@ -38,7 +38,7 @@ impl Sim {
     /// Sets the weight of a reward term of the robot at place `index`. It is no part of snapshots.
     ///
     /// # Errors
-    /// An unknown term, or a weight out of range.
+    /// An unknown term, a weight out of range, or a term whose weight the task's curriculum sets.
     pub fn set_reward_weight(&mut self, index: usize, name: &str, weight: f64) -> Result<(), Error> {
         if !(Weight::LEAST..=Weight::MOST).contains(&weight) {
             let problem = format!("{weight} for {name}");
@@ -51,8 +51,11 @@ impl Sim {
         let mut task = self.world_mut().resource_mut::<CompiledTask>();
         let mut terms = task.rewards.get_mut(index).into_iter().flatten();
         if let Some(term) = terms.find(|term| term.name == name) {
-            term.weight = weight as f32;
-            return Ok(());
+            if term.set_weight(weight as f32) {
+                return Ok(());
+            }
+            let problem = format!("a curriculum of the task sets that of `{name}` by control steps");
+            return Err(Error::argument("weight", problem, "take its entry out of the task"));
         }
         let known = self.reward_terms(index).join(", ");
         Err(Error::argument("term", format!("the robot has no reward term `{name}`"), format!("use one of {known}")))
@@ -63,7 +66,8 @@ impl Sim {
     /// no part of snapshots.
     ///
     /// # Errors
-    /// A range that is not finite, out of bounds or has its ends exchanged.
+    /// A range that is not finite, out of bounds or has its ends exchanged; no such robot; stages of
+    /// the task's curriculum set the ranges.
     pub fn set_command_ranges(&mut self, index: usize, ranges: [[f64; 2]; 3]) -> Result<(), Error> {
         for ([low, high], name) in ranges.into_iter().zip(VELOCITY_COLUMNS) {
             if !(-MAX_COMMAND <= low && low <= high && high <= MAX_COMMAND) {
@@ -73,8 +77,13 @@ impl Sim {
             }
         }
         let mut task = self.world_mut().resource_mut::<CompiledTask>();
-        if let Some(config) = task.commands.get_mut(index) {
-            [config.lin_vel_x, config.lin_vel_y, config.ang_vel_z] = ranges;
+        if index >= task.commands.len() {
+            let problem = format!("there is no robot {index}");
+            return Err(Error::argument("index", problem, format!("use one below {}", task.commands.len())));
+        }
+        if !task.set_velocity_ranges(index, ranges) {
+            let remedy = "take its stages out of the task";
+            return Err(Error::argument("ranges", "a curriculum of the task sets the ranges by control steps", remedy));
         }
         Ok(())
     }

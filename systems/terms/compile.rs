@@ -44,6 +44,15 @@ impl RewardTerm {
         !self.later.is_empty()
     }
 
+    /// Sets its weight. Returns whether it could: a curriculum's entry sets it by control steps.
+    pub(crate) fn set_weight(&mut self, weight: f32) -> bool {
+        let can = self.later.is_empty();
+        if can {
+            self.weight = weight;
+        }
+        can
+    }
+
     /// Factor of its value in a control step of the simulation.
     #[inline(always)]
     pub fn weight_at(&self, step: u64) -> f32 {
@@ -240,6 +249,20 @@ impl From<SpeedLimits> for StateLimits {
 pub(super) const ILLEGAL_STATE: &str = "illegal_state";
 
 impl CompiledTask {
+    /// Sets the ranges of the velocity commands of the robot at place `index`: forward and left
+    /// velocity, m/s, and yaw rate, rad/s. Returns whether it could: stages of a curriculum set them.
+    ///
+    /// # Panics
+    /// If there is no such robot.
+    pub(crate) fn set_velocity_ranges(&mut self, index: usize, ranges: [[f64; 2]; 3]) -> bool {
+        let can = self.velocity_ranges[index].set_base(ranges.map(|range| range.map(|x| x as f32)));
+        if can {
+            let config = &mut self.commands[index];
+            [config.lin_vel_x, config.lin_vel_y, config.ang_vel_z] = ranges;
+        }
+        can
+    }
+
     /// Makes every term that the robots of the run use.
     ///
     /// # Errors

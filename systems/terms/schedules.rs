@@ -164,6 +164,15 @@ impl VelocityRanges {
         self.base
     }
 
+    /// Replaces the ranges in front of any change. Returns whether it could: stages replace them.
+    pub(super) fn set_base(&mut self, base: [[f32; 2]; 3]) -> bool {
+        let can = self.stages.is_empty();
+        if can {
+            self.base = base;
+        }
+        can
+    }
+
     /// Whether the ranges change.
     pub(in crate::systems) fn are_scheduled(&self) -> bool {
         !self.stages.is_empty() || self.widest.iter().any(Option::is_some)
