@@ -66,8 +66,8 @@ impl Sim {
     /// no part of snapshots.
     ///
     /// # Errors
-    /// A range that is not finite, out of bounds or has its ends exchanged; no such robot; stages of
-    /// the task's curriculum set the ranges.
+    /// A range that is not finite, out of bounds or has its ends exchanged; no such robot; stages
+    /// of the task's curriculum set the ranges.
     pub fn set_command_ranges(&mut self, index: usize, ranges: [[f64; 2]; 3]) -> Result<(), Error> {
         for ([low, high], name) in ranges.into_iter().zip(VELOCITY_COLUMNS) {
             if !(-MAX_COMMAND <= low && low <= high && high <= MAX_COMMAND) {

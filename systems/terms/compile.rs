@@ -250,7 +250,8 @@ pub(super) const ILLEGAL_STATE: &str = "illegal_state";
 
 impl CompiledTask {
     /// Sets the ranges of the velocity commands of the robot at place `index`: forward and left
-    /// velocity, m/s, and yaw rate, rad/s. Returns whether it could: stages of a curriculum set them.
+    /// velocity, m/s, and yaw rate, rad/s. Returns whether it could: stages of a curriculum set
+    /// them.
     ///
     /// # Panics
     /// If there is no such robot.
