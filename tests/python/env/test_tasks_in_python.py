@@ -237,12 +237,14 @@ def test_curricula_change_weights_ranges_and_curves():
     assert (drawn > 0.0).any(), drawn
 
 
-def test_what_a_curriculum_of_the_task_sets_is_not_set_otherwise():
-    stages = "curriculum.commands_vel.velocity_stages=[{step = 100, lin_vel_x = [-0.5, 0.5]}]"
-    weight = (
-        f"curriculum.later={{term = 'modify_reward_weight', term_name = '{TRACKING}', weight = 2.0, num_steps = 9}}"
+def test_what_a_curriculum_of_the_task_sets_is_not_set_otherwise(tmp_path):
+    task = tmp_path / "staged.toml"
+    task.write_text(
+        'name = "Staged-v0"\nextends = "velocity_flat"\n'
+        "[curriculum.commands_vel]\nvelocity_stages = [{ step = 100, lin_vel_x = [-0.5, 0.5] }]\n"
+        f'[curriculum.later]\nterm = "modify_reward_weight"\nterm_name = "{TRACKING}"\nweight = 2.0\nnum_steps = 9\n'
     )
-    sim = polypod.VecSim("velocity_flat", 8, overrides=[stages, weight])
+    sim = polypod.VecSim(str(task), 8)
     with pytest.raises(polypod.ConfigError, match="curriculum"):
         sim.set_command_ranges("spot", lin_vel_x=(0.1, 0.2))
     with pytest.raises(polypod.ConfigError, match="curriculum"):
