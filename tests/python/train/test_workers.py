@@ -146,7 +146,9 @@ def test_a_signal_to_one_worker_ends_all_after_the_iteration(team, tmp_path):
     (tmp_path / "mine.toml").write_text(CONFIG.replace("save_interval = 1", "save_interval = 100000"))
     processes = team.start(3, command(tmp_path, iterations=2000), tmp_path)
     end = time.monotonic() + 40
-    while "iteration 1/2000" not in (tmp_path / "worker_0" / ".output").read_text():
+    # the worker opens it when it has begun
+    output = tmp_path / "worker_0" / ".output"
+    while not output.exists() or "iteration 1/2000" not in output.read_text():
         assert time.monotonic() < end
         time.sleep(0.01)
     os.kill(processes[2], signal.SIGTERM)
