@@ -5,7 +5,6 @@ Columns of the first layer and rows of the last one follow their numbers and slo
 """
 
 import argparse
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.descriptions import for_one_env_each
 from polypod.runs import config, run_dir
 from polypod.training.transfer import Number, critic_for, numbers_of
@@ -69,8 +68,7 @@ def grow(checkpoint: Path, task: str, robots: Sequence[str], overrides: Sequence
 
 def _scale(sim: _core.VecSim) -> float:
     """Action scale of the first robot, rad."""
-    info: dict[str, Any] = json.loads(sim.robot_info())
-    return float(next(iter(info.values()))["action_scale"])
+    return next(iter(simulated.robots(sim).values()))["action_scale"]
 
 
 def _scale_actions(actor: dict[str, torch.Tensor], known: Sequence[Number], ratio: float) -> None:

@@ -23,7 +23,7 @@ from typing import Any
 
 import torch
 
-from polypod import _core, bundled
+from polypod import _core, bundled, simulated
 from polypod.compat import tomllib
 from polypod.runs import run_dir
 
@@ -308,8 +308,7 @@ def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
 
 def held(config: Path, patterns: Sequence[str]) -> list[str]:
     """Joints of a config whose slots match, as `JOINT=POSITION` in the default pose."""
-    described = _core.VecSim(TASK, 1, robots=[str(config)], threads=1).robot_info()
-    (info,) = json.loads(described).values()
+    (info,) = simulated.robots(_core.VecSim(TASK, 1, robots=[str(config)], threads=1)).values()
     return [
         f"{info['joint_names'][joint]}={info['default_pose'][joint]!r}"
         for slot, joint in zip(info["slots"], info["joint_of_slot"], strict=True)

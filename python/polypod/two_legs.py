@@ -21,7 +21,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.compat import tomllib
 
 GRAVITY = 9.81
@@ -94,7 +94,7 @@ def with_gains(text: str, robot: Path) -> tuple[str, list[str]]:
         robot: its file, with that text.
     """
     sim = _core.VecSim("velocity_flat_any_legged_play", 1, robots=[str(robot)], threads=1)
-    (info,) = json.loads(sim.robot_info()).values()
+    (info,) = simulated.robots(sim).values()
     if len(info["legs"]) != 2:
         return text, []
     lines = text.splitlines()
@@ -105,7 +105,10 @@ def with_gains(text: str, robot: Path) -> tuple[str, list[str]]:
 
 
 def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """The tables of the actuators, joints of equal gains and limits in one each; and notes."""
+    """The tables of the actuators, joints of equal gains and limits in one each; and notes.
+
+    A draft gives each joint an effort limit.
+    """
     mass, height = info["mass"], info["base_height"] + info["hip_height"]
     load = mass * GRAVITY * height
     slots = dict(zip(info["slots"], info["joint_of_slot"], strict=True))

@@ -266,23 +266,32 @@ def test_a_leg_joint_that_mimics_is_named_where_it_is_the_cause(cli, tmp_path):
     assert cli("check", str(file)).returncode == 0
 
 
-def test_roles_may_be_named(cli, tmp_path):
-    """The errors' remedy works: three legs that point upwards at zero are no legs by geometry."""
+ROLES = {
+    f"{leg}_{role}": f"m{number}{joint}"
+    for number, leg in enumerate(("LF", "RF", "LH", "RH"))
+    for joint, role in enumerate(("HAA", "HFE", "KFE"), start=1)
+}
+"""Joints of `quadruped` by their slots."""
+
+
+def with_upward_legs(count):
+    """`quadruped` with its first legs pointing upwards at zero."""
     text = quadruped()
-    for number in range(3):
+    for number in range(count):
         place = text.index(f'<joint name="m{number}2"')
         end = text.index('xyz="0.0 ', place)
         text = text[:end] + 'rpy="0 3.0 0" ' + text[end:]
+    return text
+
+
+def test_roles_may_be_named(cli, tmp_path):
+    """The errors' remedy works: three legs that point upwards at zero are no legs by geometry."""
     file = tmp_path / "robot.urdf"
-    file.write_text(text)
+    file.write_text(with_upward_legs(3))
     done = cli("robot", "new", str(file))
     assert done.returncode == 2
     assert "--role SLOT=JOINT of robot new" in done.stderr
-    roles = [
-        f"{leg}_{role}=m{number}{joint}"
-        for number, leg in enumerate(("LF", "RF", "LH", "RH"))
-        for joint, role in enumerate(("HAA", "HFE", "KFE"), start=1)
-    ]
+    roles = [f"{slot}={joint}" for slot, joint in ROLES.items()]
     done = cli("robot", "new", str(file), *(word for role in roles for word in ("--role", role)))
     assert done.returncode == 0, done.stderr
     config = tomllib.loads((tmp_path / "test_fox.toml").read_text())
@@ -291,21 +300,11 @@ def test_roles_may_be_named(cli, tmp_path):
 
 def test_roles_that_are_named_keep_the_frame_of_legs_that_point_upwards(tmp_path):
     """Stretched legs above the body are those of a base with z down, unless somebody knows."""
-    text = quadruped()
-    for number in range(4):
-        place = text.index(f'<joint name="m{number}2"')
-        end = text.index('xyz="0.0 ', place)
-        text = text[:end] + 'rpy="0 3.0 0" ' + text[end:]
     file = tmp_path / "robot.urdf"
-    file.write_text(text)
+    file.write_text(with_upward_legs(4))
     made = new_robot(file, tmp_path / "test_fox.toml")
     assert [note for note in made.notes if "so -z is taken for up" in note]
-    roles = {
-        f"{leg}_{role}": f"m{number}{joint}"
-        for number, leg in enumerate(("LF", "RF", "LH", "RH"))
-        for joint, role in enumerate(("HAA", "HFE", "KFE"), start=1)
-    }
-    made = new_robot(file, tmp_path / "test_fox.toml", force=True, joint_roles=roles)
+    made = new_robot(file, tmp_path / "test_fox.toml", force=True, joint_roles=ROLES)
     assert tomllib.loads(made.path.read_text())["urdf"] == "robot.urdf"
     assert not [note for note in made.notes if "is taken for up" in note]
 
