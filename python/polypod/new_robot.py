@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, base_frames, two_legs, urdf_copies
+from polypod import _core, bare_ends, base_frames, token_inertias, two_legs, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -231,12 +231,14 @@ def _copy(
     keeps_up: bool,
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
+    tokens = token_inertias.replace(robot)
     links = bare_ends.add_boxes(robot, held)
     upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages, keeps_up=keeps_up)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
         "centred": ("the base frame in the middle", [moved] if moved else []),
+        "with_inertias": ("inertias of bars", [token_inertias.note(tokens)] if tokens else []),
         "with_feet": (ends, [bare_ends.note(link) for link in links]),
     }
     made = {ending: change for ending, change in changes.items() if change[1]}

@@ -382,3 +382,26 @@ def test_arms_above_a_spine_are_no_legs(tmp_path, height, is_upper_body):
             _core.draft_robot(file)
     else:
         assert tomllib.loads(_core.draft_robot(file)["toml"])["joint_roles"]["L_KNEE"] == "ld"
+
+
+@pytest.mark.parametrize(("moment", "is_token"), [(1.0, True), (1e-3, False)])
+def test_placeholders_of_inertias_give_way_to_bars(tmp_path, moment, is_token):
+    """One moment in every link: links of a few hundred grams would turn as heavily as large balls."""
+    tree = ET.parse(urdf("berkeley_humanoid"))
+    for inertia in tree.iter("inertia"):
+        inertia.attrib = dict.fromkeys(("ixx", "iyy", "izz"), str(moment)) | dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    tree.write(tmp_path / "tokens.urdf")
+    made = new_robot(tmp_path / "tokens.urdf", tmp_path / "tokens.toml")
+    (own,) = (tmp_path / tomllib.loads(made.path.read_text())["urdf"],)
+    moments = [float(inertia.get("iyy")) for inertia in ET.parse(own).iter("inertia")]
+    said = [note for note in made.notes if "placeholder (as of" in note]
+    if is_token:
+        assert own.name == "tokens_with_inertias.urdf"
+        assert max(moments) < 0.1
+        assert len(said) == 1
+        assert made.pose_holds
+        is_usable(made)
+    else:
+        assert own.name == "tokens.urdf"
+        assert set(moments) == {moment}
+        assert said == []
