@@ -1,5 +1,6 @@
 """A config for a robot of which only the URDF is known: drafted, written, and tried out."""
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -9,7 +10,7 @@ import tempfile
 from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import TypeAlias
+from typing import ParamSpec, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,6 +22,10 @@ from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
 
 Draft: TypeAlias = "_core.RobotDraft"
+Given = ParamSpec("Given")
+
+DRAFTED = "# Drafted by `polypod robot new`"
+"""Begin of a config that was drafted."""
 
 TASK = "velocity_flat_play"
 TASK_OF_OTHERS = "velocity_flat_legged_play"
@@ -89,6 +94,48 @@ class NewRobot:
     """Why it does not stand by itself, where it does not for a reason that gains do not change."""
 
 
+def _blaming_the_urdf(function: Callable[Given, NewRobot]) -> Callable[Given, NewRobot]:
+    """Lets a function say what is wrong with its URDF where the config that it drafts is refused.
+
+    Nobody wrote that config, and it does not stay.
+    """
+
+    @functools.wraps(function)
+    def blaming(*args: Given.args, **kwargs: Given.kwargs) -> NewRobot:
+        try:
+            return function(*args, **kwargs)
+        except _core.ConfigError as error:
+            file, _, problem = str(error).partition(".toml: ")
+            config, urdf = Path(f"{file}.toml"), args[0] if args else kwargs["urdf"]
+            if not problem or not isinstance(urdf, Path) or not _is_draft(config):
+                raise
+            config.unlink()
+            raise _core.RobotError(_refusal(urdf, problem)) from error
+
+    return blaming
+
+
+def _is_draft(config: Path) -> bool:
+    try:
+        return config.read_text(encoding="utf-8").startswith(DRAFTED)
+    except (OSError, ValueError):
+        return False
+
+
+def _refusal(urdf: Path, problem: str) -> str:
+    """What is wrong with a URDF whose draft has this problem."""
+    with contextlib.suppress(_core.PolypodError):
+        for note in _core.draft_robot(urdf, urdf=urdf.name)["notes"]:
+            if "it looks like" in note:
+                return f"{urdf}: {note}"
+    what, _, _ = problem.rpartition("; ")
+    return (
+        f"{urdf}: a config that follows from it is refused: {what}; a URDF has metres, kilograms and radians: look at "
+        "its lengths, masses and limits"
+    )
+
+
+@_blaming_the_urdf
 def new_robot(
     urdf: Path,
     out: Path | None = None,

@@ -1,9 +1,9 @@
 """Inertias for links of a URDF that state a placeholder.
 
 Makers who have no inertias write the same moments into every link, often 1 kg m^2, with masses of
-their own. A link of 0.4 kg then turns as heavily as a ball of 4 m. In a copy of the file such a
-link gets the moments of a bar from its joint to the end of the link: other readers of a URDF see
-only what it says.
+their own. A link of 0.4 kg then turns as heavily as a ball of 4 m; others write 0 or 1e-6. In a copy of
+the file such a link gets the moments of a bar from its joint to the end of the link: other readers
+of a URDF see only what it says.
 """
 
 import math
@@ -14,7 +14,12 @@ import numpy as np
 from polypod.arrays import Array
 
 LEAST_LINKS = 3
-"""Number of links with the same moments, which are placeholders if one of them is too large."""
+"""Number of links with the same moments, which are placeholders if one of them is too large or too
+small."""
+SMALLEST = 0.01
+"""Diameter of the smallest ball, over the size of the robot."""
+NONE = 1e-12
+"""Moments up to this are 0 with the errors of a converter, kg m^2."""
 SAME = 1e-9
 """Share by which moments differ that are all the same."""
 WIDTH = 0.3
@@ -44,7 +49,8 @@ def replace(robot: ElementTree.Element) -> list[str]:
     tokens = [
         link
         for moment, links in alike.items()
-        if len(links) >= LEAST_LINKS and any(_ball(moment, _mass(link)) > size for link in links)
+        if len(links) >= LEAST_LINKS
+        and any(not SMALLEST * size <= _ball(moment, _mass(link)) <= size for link in links)
         for link in links
     ]
     for link in tokens:
@@ -67,6 +73,8 @@ def _moment(link: ElementTree.Element) -> float | None:
         return None
     moments = [float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz")]
     products = [float(inertia.get(key, 0.0)) for key in ("ixy", "ixz", "iyz")]
+    if max(map(abs, [*moments, *products])) <= NONE:
+        return 0.0
     is_same = max(moments) - min(moments) <= SAME * max(moments) and not any(products)
     return moments[0] if is_same and moments[0] > 0.0 else None
 
