@@ -17,7 +17,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from polypod import _core, base_frames, new_robot, simulated, urdf_copies
-from polypod.add import compiling, description, judge, kept, mjcf, sources, urdf
+from polypod.add import compiling, description, judge, kept, mjcf, sources, turned, urdf
 from polypod.add.compiling import Compiled
 from polypod.add.description import Description
 from polypod.add.toml import Slots, refined
@@ -177,18 +177,7 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
         compiling.check(found.file, root)
-        made = compiling.compiled(found.file, root)
-        reader = mjcf.Reader(made)
-        described = reader.description()
-        model = kept.text(reader)
-        notes = list(described.notes)
-        if model is None:
-            notes.append(f"MuJoCo's model of the file: {kept.NAME} left out: it cannot be written as one file")
-        meshes = {
-            f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes
-        }
-        meshes.pop(".obj", None)
-        return _Found(made.name, description.urdf(described), meshes, notes, described, made, "", model)
+        return _of_mjcf(compiling.compiled(found.file, root))
     if root is not None:
         raise _core.ConfigError(
             f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out"
@@ -201,6 +190,18 @@ def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], 
     copy = urdf.copied(text, found.file, dirs, found.within)
     stem = found.file.name.partition(".")[0]
     return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text, missing=copy.missing)
+
+
+def _of_mjcf(made: Compiled) -> _Found:
+    reader = mjcf.Reader(made)
+    described = reader.description()
+    model = kept.text(reader)
+    notes = list(described.notes)
+    if model is None:
+        notes.append(f"MuJoCo's model of the file: {kept.NAME} left out: it cannot be written as one file")
+    meshes = {f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes}
+    meshes.pop(".obj", None)
+    return _Found(made.name, description.urdf(described), meshes, notes, described, made, "", model)
 
 
 def _write(
@@ -218,9 +219,11 @@ def _write(
     for mesh, data in read.meshes.items():
         write_bytes(assets / "meshes" / mesh, data)
     write_text(assets / "robot.urdf", read.urdf)
-    if read.described is None:
-        drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
+    drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
+    if read.compiled is None:
         read = _upright(read, assets / "robot.urdf", drafts_of, keeps_up=bool(roles))
+    else:
+        read = _turned(read, read.compiled, assets, drafts_of, keeps_up=bool(roles))
     if read.model is not None:
         write_text(assets / kept.NAME, read.model)
     config = folder / "configs" / "robots" / f"{name}.toml"
@@ -284,6 +287,23 @@ def _upright(read: _Found, file: Path, drafts_of: Callable[..., new_robot.Draft]
     write_text(file, text)
     original_text = ElementTree.tostring(original, encoding="unicode")
     return dataclasses.replace(read, urdf=text, original=original_text, notes=[*read.notes, *notes])
+
+
+def _turned(
+    read: _Found, compiled: Compiled, assets: Path, drafts_of: Callable[..., new_robot.Draft], *, keeps_up: bool
+) -> _Found:
+    """An MJCF robot whose base has x forward and z up, which is written to its files."""
+    file = assets / "robot.urdf"
+    if (robot := urdf_copies.read(file)) is None or (axes := base_frames.upright_axes(robot)) is None:
+        return read
+    _, assumed, _ = new_robot.upright_of(file, robot, drafts_of, keeps_up=keeps_up)
+    if assumed is None:
+        return read
+    found = _of_mjcf(turned.turned(compiled, axes))
+    for mesh, data in found.meshes.items():
+        write_bytes(assets / "meshes" / mesh, data)
+    write_text(file, found.urdf)
+    return dataclasses.replace(found, name=read.name, notes=[*found.notes, assumed.replace('link "', 'body "', 1)])
 
 
 def _summed_up(notes: list[str]) -> list[str]:

@@ -1,5 +1,6 @@
 """Robots whose URDF has another base frame than x forward and z up, or other units than metres."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -113,6 +114,40 @@ def test_a_turned_robot_is_added_upright(tmp_path, frame, robot, aside):
     (note,) = (note for note in added.notes if "let its frame have x forward and z up" in note)
     assert f"so {frame.split()[2]} is taken for up" in note
     assert len([note for note in added.notes if "of the middle plane" in note]) == (aside > 0.0)
+    assert added.errors
+    for dtype, errors in added.errors.items():
+        assert errors.worst() <= judge.BOUNDS[dtype]
+
+
+@pytest.mark.parametrize("robot", ["fox", "unitree_g1"])
+@pytest.mark.parametrize("frame", ["y forward, z up", "x forward, -z up", "z forward, x up", "x forward, y up"])
+def test_a_turned_mjcf_robot_is_added_upright(tmp_path, frame, robot):
+    """Its base gets another frame, and its keyframe stands as it stood."""
+    mujoco = pytest.importorskip("mujoco")
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    turn = np.array(FRAMES[frame], dtype=np.float64)
+    right, other = tmp_path / "right.xml", tmp_path / "other.xml"
+    for file, urdf, upright in ((right, text, np.eye(3)), (other, turned(text, FRAMES[frame]), turn.T)):
+        options = '<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco></robot>'
+        plain = re.sub("<mujoco>.*?</mujoco>", "", urdf, flags=re.DOTALL)
+        spec = mujoco.MjSpec.from_string(plain.replace("</robot>", options))
+        (base,) = list(spec.worldbody.bodies)[:1]
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, upright.flatten())
+        base.quat = quaternion
+        base.add_freejoint()
+        size = spec.compile().nq
+        spec.add_key(name="home", qpos=[0.0, 0.0, 1.0, *quaternion, *np.zeros(size - 7)])
+        file.write_text(spec.to_xml(), encoding="utf-8")
+    known, added = (add(str(file), tmp_path / file.stem, name=file.stem) for file in (right, other))
+    made, wanted = (tomllib.loads(each.new.path.read_text()) for each in (added, known))
+    assert made["joint_roles"] == wanted["joint_roles"]
+    assert made["feet"] == wanted["feet"]
+    assert made["default_pose"] == pytest.approx(wanted["default_pose"], abs=2e-3)
+    assert added.new.pose_holds == known.new.pose_holds
+    (note,) = (note for note in added.notes if "let its frame have x forward and z up" in note)
+    assert f"so {frame.split()[2]} is taken for up" in note
+    assert not [note for note in known.notes if "let its frame" in note]
     assert added.errors
     for dtype, errors in added.errors.items():
         assert errors.worst() <= judge.BOUNDS[dtype]
