@@ -29,6 +29,8 @@ from polypod.vector_env import make
 
 _LIMIT = re.compile(r"\[actuators\]: the URDF(.*?),? for ([^;]+); (.*) follow from (.*): write the motor's")
 _LOST = re.compile(r"mesh \"[^\"]*\" is not found; the shape is left out")
+LOW = 0.6
+"""A keyframe with the hips lower than this share of a standing robot's lies or sits."""
 _CHECK = re.compile(r"; `polypod check [^`]*` lists them")
 
 
@@ -244,16 +246,18 @@ def _write(
 
     described = read.described
     notes = list(read.notes)
-    made = stood(None if described is None else _refinement(config, described, found.origin, posed=True))
-    if described is not None and described.pose is not None and not made.pose_holds:
-        drafted = stood(_refinement(config, described, found.origin, posed=False))
-        if drafted.pose_holds:
+    heights: list[float] = []
+    made = stood(None if described is None else _refinement(config, described, found.origin, heights, posed=True))
+    if described is not None and described.pose is not None:
+        problem = None if made.pose_holds else "the robot does not stand in it"
+        if problem is None and (height := _hip_height(config)) < LOW * heights[-1]:
+            problem = f"its hips are {height:.2f} m high, and {heights[-1]:.2f} m where it stands"
+        drafted = made if problem is None else stood(_refinement(config, described, found.origin, heights, posed=False))
+        if problem is not None and drafted.pose_holds:
             made = drafted
-            notes.append(
-                f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in"
-            )
-        else:
-            made = stood(_refinement(config, described, found.origin, posed=True))
+            notes.append(f"the keyframe {described.pose}: {problem}: replaced by a pose that it stands in")
+        elif problem is not None:
+            made = stood(_refinement(config, described, found.origin, heights, posed=True))
     errors, reason = _judged(config, read)
     if reason is not None:
         notes.append(reason)
@@ -332,16 +336,33 @@ def _summed_up(notes: list[str]) -> list[str]:
     return kept
 
 
-def _refinement(config: Path, described: Description, origin: str, *, posed: bool) -> Callable[[str], str]:
-    """Returns the function that puts what the file says into a draft."""
+def _info(config: Path) -> Mapping[str, Any]:
+    env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
+    try:
+        (info,) = simulated.robots(env.sim).values()
+        return info
+    finally:
+        env.close()
+
+
+def _hip_height(config: Path) -> float:
+    """Height of the hips above the soles in a config's pose, m."""
+    info = _info(config)
+    return float(info["base_height"] + info["hip_height"])
+
+
+def _refinement(
+    config: Path, described: Description, origin: str, heights: list[float], *, posed: bool
+) -> Callable[[str], str]:
+    """Returns the function that puts what the file says into a draft.
+
+    It adds the height of the hips in the draft's own pose to `heights`.
+    """
 
     def refine(draft: str) -> str:
         write_text(config, draft)
-        env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
-        try:
-            (info,) = simulated.robots(env.sim).values()
-        finally:
-            env.close()
+        info = _info(config)
+        heights.append(float(info["base_height"] + info["hip_height"]))
         return refined(draft, described, Slots.of(info), origin, posed=posed and described.pose is not None)
 
     return refine
