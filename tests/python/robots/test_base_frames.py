@@ -11,7 +11,8 @@ from test_new_robot import quadruped
 
 from common import ROOT
 from polypod import _core, base_frames, urdf_copies
-from polypod.add import add, judge
+from polypod.add import add, compiling, judge
+from polypod.add import turned as upright_model
 from polypod.new_robot import new_robot
 
 LIBRARY = sorted((ROOT / "assets" / "robots").glob("*/robot.urdf"))
@@ -151,6 +152,48 @@ def test_a_turned_mjcf_robot_is_added_upright(tmp_path, frame, robot):
     assert added.errors
     for dtype, errors in added.errors.items():
         assert errors.worst() <= judge.BOUNDS[dtype]
+
+
+FRAMED = """<mujoco><worldbody><body name="base" pos="0 0 1" euler="10 20 30"><freejoint/>{inertial}
+  <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0.1"/>
+  <frame euler="0 0 30"><geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0"/><frame pos="0 0.1 0">
+    <site name="in_two" zaxis="1 1 0"/><body name="a" pos="0.2 0 0"><joint axis="0 1 0"/><geom size="0.1"/></body>
+  </frame></frame>
+  <body name="b" pos="0.3 0 0" euler="10 20 30"><joint axis="1 0 0"/><geom size="0.1" pos="0 0 0.2"/></body>
+</body></worldbody>
+<keyframe><key name="home" qpos="0.1 0.2 1 0.5 0.5 -0.5 0.5 0.3 -0.4" qvel="1 2 3 0.1 0.2 0.3 4 5"/></keyframe>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "inertial",
+    [
+        "",
+        '<inertial pos="0.1 0 0" mass="2" fullinertia="0.1 0.2 0.25 0.01 0.02 0"/>',
+        '<inertial pos="0.1 0 0" euler="5 6 7" mass="2" diaginertia="0.1 0.2 0.25"/>',
+    ],
+)
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_turned_model_is_the_same_robot(tmp_path, frame, inertial):
+    """All ways to write a place: what is where, and how heavy, stays."""
+    mujoco = pytest.importorskip("mujoco")
+    file = tmp_path / "framed.xml"
+    file.write_text(FRAMED.format(inertial=inertial))
+    axes = np.array(FRAMES[frame], dtype=np.float64)
+    found = []
+    for made in (compiling.compiled(file), upright_model.turned(compiling.compiled(file), axes)):
+        made.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+        data = mujoco.MjData(made.model)
+        mujoco.mj_resetDataKeyframe(made.model, data, 0)
+        mujoco.mj_forward(made.model, data)
+        found.append(data)
+    one, other = found
+    np.testing.assert_allclose(one.geom_xpos, other.geom_xpos, atol=1e-12)
+    np.testing.assert_allclose(one.geom_xmat, other.geom_xmat, atol=1e-12)
+    np.testing.assert_allclose(one.site_xmat, other.site_xmat, atol=1e-12)
+    np.testing.assert_allclose(one.xipos, other.xipos, atol=1e-12)
+    np.testing.assert_allclose(one.energy, other.energy, rtol=1e-12)
+    np.testing.assert_allclose(one.xmat[1].reshape(3, 3) @ axes, other.xmat[1].reshape(3, 3), atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", ["fox", "unitree_go2", "unitree_g1"])
