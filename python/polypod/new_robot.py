@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping
@@ -45,6 +46,9 @@ CARRIED = 0.95
 its knees."""
 AT_ONCE = 0.05
 """A robot that falls within this time has not fallen: its episode ended for another reason, s."""
+MANY_HELD = 4
+"""Number of joints, held for the same reason, from which one line says it for all."""
+_HELD = re.compile(r"\[locked_joints\]: .* is (a finger|a rod or a gear|no leg's|coupled).* held at .*")
 SETTLED = 1.0
 """At the end of standing, in which the weight is measured, s."""
 
@@ -256,9 +260,22 @@ def new_robot(
         draft = drafted(gain_factor=1.0)
         write_text(path, written(draft, is_stiff=True))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
-    notes = [*(copy.notes if copy is not None else []), *notes, *motors]
+    notes = [*(copy.notes if copy is not None else []), *_held_as_one(notes), *motors]
     name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
     return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
+
+
+def _held_as_one(notes: Collection[str]) -> list[str]:
+    """Notes with one line for joints that are held for the same reason: hands have twenty."""
+    groups: dict[str, list[str]] = {}
+    for note in notes:
+        found = _HELD.fullmatch(note)
+        groups.setdefault(note if found is None else found.group(1), []).append(note)
+    return [
+        line
+        for group in groups.values()
+        for line in (group if len(group) < MANY_HELD else [f"{group[0]} (as are {len(group) - 1} more)"])
+    ]
 
 
 def robot_name(given: Path) -> str:

@@ -430,6 +430,9 @@ def test_an_arm_on_the_back_that_turns_as_a_leg_does_is_no_leg(tmp_path):
     assert made.is_quadruped
     assert made.standing.holds
     assert set(tomllib.loads(made.path.read_text())["locked_joints"]) == {f"arm{at}_joint" for at in range(7)}
+    # one line for all of them
+    (note,) = (note for note in made.notes if note.startswith("[locked_joints]"))
+    assert note.endswith("is no leg's and is held at 0 (as are 6 more)")
 
 
 def test_a_wheel_below_a_ball_is_the_foot(tmp_path):
