@@ -78,6 +78,14 @@ pub struct Joints {
     pub descriptions: Vec<Vec<usize>>,
     /// Columns that belong to no joint.
     pub general: Vec<usize>,
+    /// Heads that look at joints of legs alone, the others at all other joints; joints are then
+    /// compared with those of the legs. None: all heads look at all joints, which are compared with
+    /// all of them.
+    #[serde(default)]
+    pub leg_heads: Option<usize>,
+    /// Which of the slots are of a leg, `[slots]`.
+    #[serde(default)]
+    pub legs: Vec<bool>,
 }
 
 /// Hyperparameters of the update.
@@ -252,6 +260,14 @@ impl Settings {
                 columns.extend(of_number);
             }
             columns.extend(&joints.general);
+            if let Some(heads) = joints.leg_heads {
+                if heads == 0 || heads > joints.num_heads {
+                    return error(format!("leg_heads: {heads} is not from 1 to num_heads = {}", joints.num_heads));
+                }
+                if joints.legs.len() != self.num_actions {
+                    return error(format!("legs: {} of {} slots", joints.legs.len(), self.num_actions));
+                }
+            }
         }
         match columns.iter().find(|&&column| column >= self.num_obs) {
             Some(column) => error(format!("column {column} of a row of {} numbers", self.num_obs)),

@@ -407,8 +407,6 @@ class TrainConfig:
                 return f"learns perceptrons and networks of joints, and [{section}] is a {network.class_name}"
             if network.class_name != MLP and not is_on_cpu:
                 return f"learns perceptrons alone on a GPU, and [{section}] is a {network.class_name}"
-            if network.leg_heads is not None:
-                return f"has no heads that look at legs alone, and [{section}] has leg_heads = {network.leg_heads}"
             if network.activation not in NATIVE_ACTIVATIONS:
                 return f"knows {', '.join(NATIVE_ACTIVATIONS)}, and [{section}] has activation {network.activation}"
         return None
@@ -526,6 +524,8 @@ def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Seq
         "scales": scales,
         "descriptions": of_rows(columns.descriptions),
         "general": of_rows(columns.general),
+        "leg_heads": network.leg_heads,
+        "legs": columns.legs.tolist(),
     }
     return {**native, "joints": joints}
 

@@ -323,12 +323,14 @@ def test_normalisation_counts_the_joints_that_there_are():
     assert torch.equal(moments["states"].mean, before)
 
 
-@pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
-def test_the_graph_computes_what_torch_does(activation):
+@pytest.mark.parametrize(("activation", "leg_heads"), [("elu", None), ("elu", 3), ("relu", None), ("tanh", 4)])
+def test_the_graph_computes_what_torch_does(activation, leg_heads):
     joints = 9
-    lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0]
+    names = [*(f"L_LEG{joint}" for joint in range(6)), "TORSO_YAW", "L_ELBOW", "HEAD_YAW"]
+    lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0 or row < slot - 5 < 4]
     observations = observations_of(99, joints, lacks)
-    network = build(joints, activation=activation, obs_normalization=activation != "relu").train()
+    changes = {"activation": activation, "leg_heads": leg_heads, "joint_names": names}
+    network = build(joints, obs_normalization=activation != "relu", **changes).train()
     network.update_normalization(batch_of(observations))
     network.eval()
     num_obs = observations.shape[1]
