@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import math
 import shutil
+import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -39,6 +40,9 @@ episodes, and before it ends any turn or stop."""
 GLANCE = 16
 """Number of envs that tell whether a separate network is worth it: a policy under which every one
 falls is measured no further."""
+STEPS = 0.8
+"""A separate network is not measured as long as the robot follows its commands, with the noise of
+the training, by more than this share of a standing robot's error."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -151,6 +155,9 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
     if options.train_config is not None:
         config.load(options.train_config)  # its mistakes are said before anything is written
+    if _has_gpu(options):
+        # what a training needs takes seconds, next to the first measurement none
+        threading.Thread(target=_begin_gpu, daemon=True).start()
     given = Path(options.robot)
     run = run_dir.create(options.log_dir, EXPERIMENT, robot_name(given))
     try:
@@ -165,13 +172,15 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         if given.suffix != URDF:
             shutil.rmtree(run, ignore_errors=True)
         return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
-    is_separate = _is_separate(options, before[name])
+    is_separate = _is_separate(options, robot, before[name])
     goal = UntilWalks(
         options.every or (EVERY_SEPARATE if is_separate else EVERY),
         wanted,
         say=lambda point: reporter.message(progress_line(point, wanted)),
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
+        from_share_of_still=STEPS if is_separate else None,
+        tell=reporter.message,
     )
     if is_separate:
         reporter.message(f"{name}: a separate network begins from scratch")
@@ -212,8 +221,9 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     near = [] if training is None else [of for of in training.nearest(body) if of in library and of != name]
     neighbours = near[: options.neighbours]
     changes = _changes(manifest, robot, name, near[:1], options.overrides)
-    before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if _is_alone(options) else {}
-    if not before or not _is_separate(options, before[name]):
+    is_alone = _is_alone(options, robot)
+    before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if is_alone else {}
+    if not before or not _is_separate(options, robot, before[name]):
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
     other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
     if other is not None and not walks(before[name]):
@@ -326,18 +336,30 @@ def _has_gpu(options: Options) -> bool:
     return options.device != "cpu" and torch.cuda.is_available()
 
 
-def _is_separate(options: Options, before: Walking) -> bool:
+def _begin_gpu() -> None:
+    """Loads what a training on a GPU needs: its context, and what torch imports for an optimiser."""
+    with contextlib.suppress(RuntimeError, AssertionError):
+        # the training says what is wrong
+        import torch._dynamo
+
+        torch.zeros(1, device="cuda")
+
+
+def _is_separate(options: Options, robot: str, before: Walking) -> bool:
     """Whether a separate network promises more than the policy; a given policy is kept."""
     if options.separate != "auto":
         return options.separate == "always"
     falls_at_once = before.fall_rate > HOPELESS and math.isnan(before.turn_reached) and math.isnan(before.drift_xy)
-    return _is_alone(options) and falls_at_once
+    return falls_at_once and _is_alone(options, robot)
 
 
-def _is_alone(options: Options) -> bool:
-    """Whether the robot gets a separate network if the policy falls with it at once."""
-    is_bound = options.checkpoint is not None or options.neighbours > 0
-    return options.separate == "auto" and _has_gpu(options) and not is_bound
+def _is_alone(options: Options, robot: str) -> bool:
+    """Whether the robot gets a separate network if the policy falls with it at once.
+
+    Without a GPU only robots on two legs: those on more walk sooner with the policy.
+    """
+    is_bound = options.checkpoint is not None or options.neighbours > 0 or options.separate != "auto"
+    return not is_bound and (_has_gpu(options) or _set_of_two_legs(robot) is not None)
 
 
 def _own_train_config(options: Options) -> TrainConfig:
@@ -375,15 +397,27 @@ def _measured(
 ) -> dict[str, Walking]:
     """Figures with the seed that selects nothing."""
     count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
-    result = evaluate_checkpoint(
-        checkpoint,
-        robots,
-        num_envs=envs_per_robot * count,
-        seed=CONFIRMING_SEED,
-        threads=options.threads,
-        overrides=changes,
-    )
+    with _one_thread() if envs_per_robot * count <= GLANCE else contextlib.nullcontext():
+        result = evaluate_checkpoint(
+            checkpoint,
+            robots,
+            num_envs=envs_per_robot * count,
+            seed=CONFIRMING_SEED,
+            threads=options.threads,
+            overrides=changes,
+        )
     return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
+
+
+@contextlib.contextmanager
+def _one_thread() -> Iterator[None]:
+    """Small batches are no faster on several threads, and far slower on a busy machine."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _verdict(figures: Mapping[str, Walking], wanted: Sequence[str]) -> str:

@@ -65,6 +65,21 @@ def put_upright(robot: ElementTree.Element) -> str | None:
     return found.assumption(root, up, sign)
 
 
+def upright_axes(robot: ElementTree.Element) -> Array | None:
+    """The axes of the upright frame in that of the base, in the columns.
+
+    They are those that `put_upright` or `turn_upright` assume; None where neither changes anything.
+    """
+    if (standing := _standing(robot)) is not None:
+        _, found, up, sign = standing
+        return found.upright(up, sign)
+    lying = _Axes.of(robot)
+    if lying is None or ROOT in lying.frames or lying.lateral == 1 or not len(lying.limbs):
+        return None
+    _, up, sign = lying.down()
+    return lying.upright(up, sign)
+
+
 def turn_upright(robot: ElementTree.Element) -> str | None:
     """Turns the base's frame of a URDF whose joints pitch about y, and whose feet are not below.
 
@@ -74,6 +89,15 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     Returns:
         A line that says what was assumed; None where the axes are right or unknown.
     """
+    if (standing := _standing(robot)) is None:
+        return None
+    link, found, up, sign = standing
+    _turn(robot, link, found.upright(up, sign))
+    return found.assumption(str(link.get("name")), up, sign)
+
+
+def _standing(robot: ElementTree.Element) -> "tuple[ElementTree.Element, _Axes, int, float] | None":
+    """The base of a robot whose legs do not point along its -z, and the axis that is up."""
     link = _base(robot)
     found = None if link is None else _Axes.of(robot, link.get("name"))
     if link is None or found is None or found.lateral != 1:
@@ -89,8 +113,7 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     if up == 0 and found.shares[2] < LEAST_SHARE * found.shares[0]:
         # abduction turns about the axis forward, and about none that is up
         return None
-    _turn(robot, link, found.upright(up, sign))
-    return found.assumption(str(link.get("name")), up, sign)
+    return link, found, up, sign
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,26 +1,32 @@
 """A config for a robot of which only the URDF is known: drafted, written, and tried out."""
 
+import contextlib
 import dataclasses
 import functools
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import TypeAlias
+from typing import ParamSpec, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, base_frames, two_legs, urdf_copies
+from polypod import _core, bare_ends, base_frames, token_inertias, two_legs, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
 
 Draft: TypeAlias = "_core.RobotDraft"
+Given = ParamSpec("Given")
+
+DRAFTED = "# Drafted by `polypod robot new`"
+"""Begin of a config that was drafted."""
 
 TASK = "velocity_flat_play"
 TASK_OF_OTHERS = "velocity_flat_legged_play"
@@ -40,6 +46,9 @@ CARRIED = 0.95
 its knees."""
 AT_ONCE = 0.05
 """A robot that falls within this time has not fallen: its episode ended for another reason, s."""
+MANY_HELD = 4
+"""Number of joints, held for the same reason, from which one line says it for all."""
+_HELD = re.compile(r"\[locked_joints\]: .* is (a finger|a rod or a gear|no leg's|coupled).* held at .*")
 SETTLED = 1.0
 """At the end of standing, in which the weight is measured, s."""
 
@@ -89,6 +98,48 @@ class NewRobot:
     """Why it does not stand by itself, where it does not for a reason that gains do not change."""
 
 
+def _blaming_the_urdf(function: Callable[Given, NewRobot]) -> Callable[Given, NewRobot]:
+    """Lets a function say what is wrong with its URDF where the config that it drafts is refused.
+
+    Nobody wrote that config, and it does not stay.
+    """
+
+    @functools.wraps(function)
+    def blaming(*args: Given.args, **kwargs: Given.kwargs) -> NewRobot:
+        try:
+            return function(*args, **kwargs)
+        except _core.ConfigError as error:
+            file, _, problem = str(error).partition(".toml: ")
+            config, urdf = Path(f"{file}.toml"), args[0] if args else kwargs["urdf"]
+            if not problem or not isinstance(urdf, Path) or not _is_draft(config):
+                raise
+            config.unlink()
+            raise _core.RobotError(_refusal(urdf, problem)) from error
+
+    return blaming
+
+
+def _is_draft(config: Path) -> bool:
+    try:
+        return config.read_text(encoding="utf-8").startswith(DRAFTED)
+    except (OSError, ValueError):
+        return False
+
+
+def _refusal(urdf: Path, problem: str) -> str:
+    """What is wrong with a URDF whose draft has this problem."""
+    with contextlib.suppress(_core.PolypodError):
+        for note in _core.draft_robot(urdf, urdf=urdf.name)["notes"]:
+            if "it looks like" in note:
+                return f"{urdf}: {note}"
+    what, _, _ = problem.rpartition("; ")
+    return (
+        f"{urdf}: a config that follows from it is refused: {what}; a URDF has metres, kilograms and radians: look at "
+        "its lengths, masses and limits"
+    )
+
+
+@_blaming_the_urdf
 def new_robot(
     urdf: Path,
     out: Path | None = None,
@@ -209,9 +260,22 @@ def new_robot(
         draft = drafted(gain_factor=1.0)
         write_text(path, written(draft, is_stiff=True))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
-    notes = [*(copy.notes if copy is not None else []), *notes, *motors]
+    notes = [*(copy.notes if copy is not None else []), *_held_as_one(notes), *motors]
     name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
     return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
+
+
+def _held_as_one(notes: Collection[str]) -> list[str]:
+    """Notes with one line for joints that are held for the same reason: hands have twenty."""
+    groups: dict[str, list[str]] = {}
+    for note in notes:
+        found = _HELD.fullmatch(note)
+        groups.setdefault(note if found is None else found.group(1), []).append(note)
+    return [
+        line
+        for group in groups.values()
+        for line in (group if len(group) < MANY_HELD else [f"{group[0]} (as are {len(group) - 1} more)"])
+    ]
 
 
 def robot_name(given: Path) -> str:
@@ -231,12 +295,14 @@ def _copy(
     keeps_up: bool,
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
+    tokens = token_inertias.replace(robot)
     links = bare_ends.add_boxes(robot, held)
     upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages, keeps_up=keeps_up)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
         "centred": ("the base frame in the middle", [moved] if moved else []),
+        "with_inertias": ("inertias of bars", [token_inertias.note(tokens)] if tokens else []),
         "with_feet": (ends, [bare_ends.note(link) for link in links]),
     }
     made = {ending: change for ending, change in changes.items() if change[1]}

@@ -195,6 +195,15 @@ impl<'a> ZeroPose<'a> {
         if by_axes.len() == wanted {
             return by_axes;
         }
+        if by_axes.len() > wanted {
+            // an arm on the back turns about the same axes
+            let grounds = self.grounds(chains);
+            let stands = |leg: &LegJoints| hangs(leg) && grounds(leg);
+            let standing = self.candidates(chains, |turning| self.by_axes(turning), stands);
+            if standing.len() == wanted {
+                return standing;
+            }
+        }
         let stretches = |leg: &LegJoints| self.can_reach_down(leg);
         // the last two find legs that are folded with all joints at zero
         for found in [
@@ -247,6 +256,15 @@ impl<'a> ZeroPose<'a> {
             }
             _ => None,
         }
+    }
+
+    /// Says whether a leg of these chains stands on the ground, as [`grounded`](Self::grounded).
+    fn grounds(&self, chains: &[Vec<usize>]) -> impl Fn(&LegJoints) -> bool {
+        let firsts = || chains.iter().filter_map(|chain| chain.first());
+        let bottom = |joint: usize| feet::lowest_below(self, joint);
+        let top = firsts().map(|joint| self.position(*joint).z).fold(f64::NEG_INFINITY, f64::max);
+        let ground = firsts().map(|joint| bottom(*joint)).fold(f64::INFINITY, f64::min);
+        move |leg| leg.iter().flatten().next().is_some_and(|first| bottom(*first) <= ground + GROUND * (top - ground))
     }
 
     fn reaches_down(&self, leg: &LegJoints) -> bool {

@@ -5,7 +5,8 @@ use glam::DVec3;
 use super::chains::ZeroPose;
 use super::model::{Geometry, Shape};
 
-/// A sphere is the foot when it reaches at least this share of the leg's farthest reach.
+/// A sphere is the foot when it reaches at least this share of the leg's farthest reach, and no
+/// shape reaches farther by more than its radius: a wheel or a spring below it stands on the ground.
 const SPHERE_REACH: f64 = 0.8;
 
 /// Components of a unit vector below this are zero: makers write right angles as 1.5708, or as
@@ -66,7 +67,8 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
     let farthest = |feet: &mut dyn Iterator<Item = &Touch>| feet.max_by(|a, b| a.reach.total_cmp(&b.reach)).copied();
     let any = farthest(&mut feet.iter())?;
     let sphere = farthest(&mut feet.iter().filter(|foot| foot.is_sphere));
-    Some(sphere.filter(|foot| foot.reach >= SPHERE_REACH * any.reach).unwrap_or(any))
+    let touches = |foot: &Touch| foot.reach >= SPHERE_REACH * any.reach && foot.reach + foot.radius >= any.reach;
+    Some(sphere.filter(touches).unwrap_or(any))
 }
 
 /// The foot of a leg that ends in a sole: the middle of the body's lowest part, at zero joint

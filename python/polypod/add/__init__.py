@@ -17,7 +17,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from polypod import _core, base_frames, new_robot, simulated, urdf_copies
-from polypod.add import compiling, description, judge, kept, mjcf, sources, urdf
+from polypod.add import compiling, description, judge, kept, mjcf, sources, turned, urdf
 from polypod.add.compiling import Compiled
 from polypod.add.description import Description
 from polypod.add.toml import Slots, refined
@@ -29,6 +29,8 @@ from polypod.vector_env import make
 
 _LIMIT = re.compile(r"\[actuators\]: the URDF(.*?),? for ([^;]+); (.*) follow from (.*): write the motor's")
 _LOST = re.compile(r"mesh \"[^\"]*\" is not found; the shape is left out")
+LOW = 0.6
+"""A keyframe with the hips lower than this share of a standing robot's lies or sits."""
 _CHECK = re.compile(r"; `polypod check [^`]*` lists them")
 
 
@@ -177,18 +179,7 @@ def _check_name(name: str, config: Path, force: bool) -> None:
 def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], arguments: Mapping[str, str]) -> _Found:
     if found.kind == "mjcf":
         compiling.check(found.file, root)
-        made = compiling.compiled(found.file, root)
-        reader = mjcf.Reader(made)
-        described = reader.description()
-        model = kept.text(reader)
-        notes = list(described.notes)
-        if model is None:
-            notes.append(f"MuJoCo's model of the file: {kept.NAME} left out: it cannot be written as one file")
-        meshes = {
-            f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes
-        }
-        meshes.pop(".obj", None)
-        return _Found(made.name, description.urdf(described), meshes, notes, described, made, "", model)
+        return _of_mjcf(compiling.compiled(found.file, root))
     if root is not None:
         raise _core.ConfigError(
             f"--root {root}: {found.file.name} is a URDF, whose base is its root link; leave it out"
@@ -201,6 +192,18 @@ def _read(found: sources.Source, root: str | None, folders: Mapping[str, Path], 
     copy = urdf.copied(text, found.file, dirs, found.within)
     stem = found.file.name.partition(".")[0]
     return _Found(copy.name.strip() or stem, copy.text, copy.meshes, copy.notes, None, None, text, missing=copy.missing)
+
+
+def _of_mjcf(made: Compiled) -> _Found:
+    reader = mjcf.Reader(made)
+    described = reader.description()
+    model = kept.text(reader)
+    notes = list(described.notes)
+    if model is None:
+        notes.append(f"MuJoCo's model of the file: {kept.NAME} left out: it cannot be written as one file")
+    meshes = {f"{shape.mesh}.obj": description.obj(shape).encode() for link in described.links for shape in link.shapes}
+    meshes.pop(".obj", None)
+    return _Found(made.name, description.urdf(described), meshes, notes, described, made, "", model)
 
 
 def _write(
@@ -218,9 +221,11 @@ def _write(
     for mesh, data in read.meshes.items():
         write_bytes(assets / "meshes" / mesh, data)
     write_text(assets / "robot.urdf", read.urdf)
-    if read.described is None:
-        drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
+    drafts_of = functools.partial(_core.draft_robot, name=name, feet=feet, joint_roles=roles, locked_joints=held)
+    if read.compiled is None:
         read = _upright(read, assets / "robot.urdf", drafts_of, keeps_up=bool(roles))
+    else:
+        read = _turned(read, read.compiled, assets, drafts_of, keeps_up=bool(roles))
     if read.model is not None:
         write_text(assets / kept.NAME, read.model)
     config = folder / "configs" / "robots" / f"{name}.toml"
@@ -241,16 +246,18 @@ def _write(
 
     described = read.described
     notes = list(read.notes)
-    made = stood(None if described is None else _refinement(config, described, found.origin, posed=True))
-    if described is not None and described.pose is not None and not made.pose_holds:
-        drafted = stood(_refinement(config, described, found.origin, posed=False))
-        if drafted.pose_holds:
+    heights: list[float] = []
+    made = stood(None if described is None else _refinement(config, described, found.origin, heights, posed=True))
+    if described is not None and described.pose is not None:
+        problem = None if made.pose_holds else "the robot does not stand in it"
+        if problem is None and (height := _hip_height(config)) < LOW * heights[-1]:
+            problem = f"its hips are {height:.2f} m high, and {heights[-1]:.2f} m where it stands"
+        drafted = made if problem is None else stood(_refinement(config, described, found.origin, heights, posed=False))
+        if problem is not None and drafted.pose_holds:
             made = drafted
-            notes.append(
-                f"the keyframe {described.pose}: the robot does not stand in it: replaced by a pose that it stands in"
-            )
-        else:
-            made = stood(_refinement(config, described, found.origin, posed=True))
+            notes.append(f"the keyframe {described.pose}: {problem}: replaced by a pose that it stands in")
+        elif problem is not None:
+            made = stood(_refinement(config, described, found.origin, heights, posed=True))
     errors, reason = _judged(config, read)
     if reason is not None:
         notes.append(reason)
@@ -286,6 +293,23 @@ def _upright(read: _Found, file: Path, drafts_of: Callable[..., new_robot.Draft]
     return dataclasses.replace(read, urdf=text, original=original_text, notes=[*read.notes, *notes])
 
 
+def _turned(
+    read: _Found, compiled: Compiled, assets: Path, drafts_of: Callable[..., new_robot.Draft], *, keeps_up: bool
+) -> _Found:
+    """An MJCF robot whose base has x forward and z up, which is written to its files."""
+    file = assets / "robot.urdf"
+    if (robot := urdf_copies.read(file)) is None or (axes := base_frames.upright_axes(robot)) is None:
+        return read
+    _, assumed, _ = new_robot.upright_of(file, robot, drafts_of, keeps_up=keeps_up)
+    if assumed is None:
+        return read
+    found = _of_mjcf(turned.turned(compiled, axes))
+    for mesh, data in found.meshes.items():
+        write_bytes(assets / "meshes" / mesh, data)
+    write_text(file, found.urdf)
+    return dataclasses.replace(found, name=read.name, notes=[*found.notes, assumed.replace('link "', 'body "', 1)])
+
+
 def _summed_up(notes: list[str]) -> list[str]:
     """Notes of a draft, without temporary paths.
 
@@ -312,16 +336,33 @@ def _summed_up(notes: list[str]) -> list[str]:
     return kept
 
 
-def _refinement(config: Path, described: Description, origin: str, *, posed: bool) -> Callable[[str], str]:
-    """Returns the function that puts what the file says into a draft."""
+def _info(config: Path) -> Mapping[str, Any]:
+    env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
+    try:
+        (info,) = simulated.robots(env.sim).values()
+        return info
+    finally:
+        env.close()
+
+
+def _hip_height(config: Path) -> float:
+    """Height of the hips above the soles in a config's pose, m."""
+    info = _info(config)
+    return float(info["base_height"] + info["hip_height"])
+
+
+def _refinement(
+    config: Path, described: Description, origin: str, heights: list[float], *, posed: bool
+) -> Callable[[str], str]:
+    """Returns the function that puts what the file says into a draft.
+
+    It adds the height of the hips in the draft's own pose to `heights`.
+    """
 
     def refine(draft: str) -> str:
         write_text(config, draft)
-        env = make(new_robot.task_of(config), 1, robots=[str(config)], seed=0)
-        try:
-            (info,) = simulated.robots(env.sim).values()
-        finally:
-            env.close()
+        info = _info(config)
+        heights.append(float(info["base_height"] + info["hip_height"]))
         return refined(draft, described, Slots.of(info), origin, posed=posed and described.pose is not None)
 
     return refine

@@ -357,7 +357,8 @@ def _check_meshes(spec: Any, file: Path) -> None:
             )
 
 
-def _children(body: Any) -> Iterator[Any]:
+def children(body: Any) -> Iterator[Any]:
+    """The bodies that hang on a body of a spec."""
     child = body.first_body()
     while child is not None:
         yield child
@@ -366,14 +367,14 @@ def _children(body: Any) -> Iterator[Any]:
 
 def _below(body: Any) -> Iterator[Any]:
     yield body
-    for each in _children(body):
+    for each in children(body):
         yield from _below(each)
 
 
 def _base(mj: Any, spec: Any, file: Path, root: str | None) -> Any:
     """The body of the scene that is the robot's base. Raises ConfigError."""
     moving = (mj.mjtJoint.mjJNT_HINGE, mj.mjtJoint.mjJNT_SLIDE)
-    tops = list(_children(spec.worldbody))
+    tops = list(children(spec.worldbody))
     if root is not None:
         found = [body for body in tops if body.name == root]
         if not found:

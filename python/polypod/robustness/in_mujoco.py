@@ -22,7 +22,7 @@ from polypod.robustness import schedules, twins
 from polypod.robustness.body import Body
 from polypod.robustness.conditions import Condition
 from polypod.robustness.in_polypod import Setting
-from polypod.sim2sim import beginning, on_model, run
+from polypod.sim2sim import beginning, on_model, run, told
 from polypod.sim2sim.driven import Driven, FoldedPolicy
 from polypod.sim2sim.maker import Choices, Maker
 
@@ -109,12 +109,13 @@ class Mujoco:
     def twin(self, condition: Condition, condim: int, body: Body) -> Driven:
         """A robot as the condition makes it, in its initial states."""
         interface, late = self._interfaces[body.name], round(condition.delay_s / self._episode.task_dt)
-        policy, start = self._policy(condition, interface), self._episode.start[body.name]
+        start = self._episode.start[body.name]
         twin: Driven
         if self._model is None:
+            policy = self._policy(condition, interface)
             twin = beginning.twin_of(self._episode, body.name, body.source, interface, policy, late)
         else:
-            twin = self._of_maker(self._model, body, policy, late)
+            twin = self._of_maker(self._model, body, condition, late)
             start = on_model.started(twin.reference, twin.robot, *start)
         if condim != AS_IS:
             twins.contact(condim, condition.torsional)(twin, body)
@@ -124,11 +125,12 @@ class Mujoco:
         twin.reset(*start)
         return twin
 
-    def _of_maker(self, model: MakersModel, body: Body, policy: FoldedPolicy, late: int) -> Maker:
+    def _of_maker(self, model: MakersModel, body: Body, condition: Condition, late: int) -> Maker:
         """The maker's model with the policy, before its first reset."""
         robot = model_robot.of(self._episode.sim, body.name, body.source)
         compiled = on_model.compiled(model.file, robot, model.map, model.choices)
-        interface = self._interfaces[body.name]
+        interface, _ = told.interface_on(compiled, self._interfaces[body.name])
+        policy = self._policy(condition, interface)
         ends, outlines = self._episode.ends(body.name, interface), self._episode.outlines[body.name]["bodies"]
         return on_model.made(compiled, self._episode, robot, interface, ends, outlines, policy, late)
 

@@ -22,7 +22,7 @@ from polypod.mujoco_model import robot as model_robot
 from polypod.mujoco_model.reference import Reference
 from polypod.policy import load
 from polypod.provenance import Measured, measured
-from polypod.sim2sim import beginning, differences, maker, mapping, mjcf, phases, run
+from polypod.sim2sim import beginning, differences, maker, mapping, mjcf, phases, run, told
 from polypod.sim2sim.commands import Commands
 from polypod.sim2sim.driven import FoldedPolicy
 from polypod.sim2sim.maker import Actuation, Choices, Contacts, Maker, Model
@@ -212,11 +212,10 @@ def play(
     ranked = []
     if options.differences:
         alone = Stage(checkpoint, robot, dataclasses.replace(options, episodes=1))
-        policy = alone.policy()
         ranked = differences.ranked(
-            functools.partial(alone.twin_of, policy),
+            functools.partial(alone.twin_of, alone.policy()),
             alone.episode.start[alone.name],
-            (alone.maker_of(model, policy), alone.start(model)),
+            (alone.maker_of(model), alone.start(model)),
             progress,
         )
     return ModelComparison(
@@ -234,7 +233,7 @@ def play(
         integrator=model.integrator,
         actuators=options.actuators,
         contact=options.contact,
-        notes=list(dict.fromkeys(model.notes)),
+        notes=list(dict.fromkeys([*model.notes, *stage.told(model)])),
         base=model.root,
         base_frame=model.map.frame_how,
         base_turn=model.map.turn.tolist(),
@@ -341,9 +340,15 @@ class Stage:
             self.episode.is_whole = False
         self.schedule = self.episode.schedule
 
-    def policy(self) -> OnnxPolicy:
-        """The exported policy, which remembers nothing yet."""
-        return OnnxPolicy.of(self._network, self.interface)
+    def policy(self, model: Model | None = None) -> OnnxPolicy:
+        """The exported policy, which remembers nothing yet, told of polypod's robot or a model."""
+        interface = self.interface if model is None else told.interface_on(model, self.interface)[0]
+        return OnnxPolicy.of(self._network, interface)
+
+    def told(self, model: Model) -> list[str]:
+        """What the policy is told of the model, for people."""
+        line = told.interface_on(model, self.interface)[1]
+        return [] if line is None else [line]
 
     def twin_of(self, policy: FoldedPolicy | None = None) -> Twin:
         """Polypod's robot in MuJoCo, before its first reset."""
@@ -373,7 +378,8 @@ class Stage:
         """
         ends = self.episode.ends(self.name, self.interface)
         outlines = self.episode.outlines[self.name]["bodies"]
-        return made(model, self.episode, self.robot, self.interface, ends, outlines, policy or self.policy(), late)
+        policy = policy or self.policy(model)
+        return made(model, self.episode, self.robot, self.interface, ends, outlines, policy, late)
 
     def on(self, model: Model, progress: run.Progress, watch: Watch | None) -> Played:
         """Plays the policy on the model."""

@@ -66,6 +66,8 @@ class UntilWalks:
         envs_per_robot: int = ENVS_PER_ROBOT,
         threads: int | None = None,
         meter: Meter | None = None,
+        from_share_of_still: float | None = None,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         """Begins.
 
@@ -79,6 +81,9 @@ class UntilWalks:
             envs_per_robot: number of envs of a measurement for each robot.
             threads: of a measurement; None: one per core.
             meter: of the training's energy, which stands still in measurements.
+            from_share_of_still: nothing is measured as long as a robot of the training has a larger
+                planar error than this share of a standing robot's; None: everything is measured.
+            tell: is told why nothing is measured.
         """
         self.every, self.wanted = every, None if wanted is None else tuple(wanted)
         self.best: Point | None = None
@@ -90,6 +95,7 @@ class UntilWalks:
         self._say, self._deadline, self._confirm = say, deadline, confirm
         self._envs_per_robot, self._threads = envs_per_robot, threads
         self._meter = meter
+        self._from_share_of_still, self._tell = from_share_of_still, tell
         self._measuring = 0.0
         self._began = time.perf_counter()
 
@@ -108,6 +114,11 @@ class UntilWalks:
         is_late = self._deadline is not None and time.monotonic() >= self._deadline
         if iterations % self.every and not is_late and not is_last:
             return False
+        samples = runner.config.run.num_steps_per_env * runner.env.num_envs * iterations
+        if not is_late and not is_last and (stands := self._stands(runner)) is not None:
+            seconds = time.perf_counter() - self._began - self._measuring
+            self._tell(f"iteration {iterations}, {_spent(samples, seconds)}: {stands}")
+            return False
         begin = time.perf_counter()
         if self._meter is not None:
             self._meter.pause()
@@ -115,7 +126,6 @@ class UntilWalks:
         runner.try_to_save(path)
         # a full disk takes none, and the training goes on
         if path.is_file():
-            samples = runner.config.run.num_steps_per_env * runner.env.num_envs * iterations
             seconds = begin - self._began - self._measuring
             self._add(Point(iterations, samples, seconds, self._measure(path, SEED), path), runner)
         self._measuring += time.perf_counter() - begin
@@ -123,6 +133,23 @@ class UntilWalks:
         if self._meter is not None and not (ends or is_last):
             self._meter.resume()
         return ends
+
+    def _stands(self, runner: Runner) -> str | None:
+        """Why a measurement is not worth its time: the robot that follows its commands least."""
+        if self._from_share_of_still is None:
+            return None
+        errors = {
+            name: stats["error_vel_xy"] / stats["command_xy"]
+            for name, stats in runner.stats_of_robots.items()
+            if stats.get("command_xy", 0.0) > 0.0
+        }
+        if not errors:
+            return None
+        name = max(errors, key=errors.__getitem__)
+        if errors[name] <= self._from_share_of_still:
+            return None
+        falls = runner.stats_of_robots[name]["fall_rate"]
+        return f"{name} follows no better than standing still, and falls in {falls:.0%} of the episodes"
 
     def _add(self, point: Point, runner: Runner) -> None:
         """Takes a measurement."""
@@ -158,7 +185,11 @@ def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:
     figures = {robot: point.robots[robot] for robot in wanted or point.robots}
     walking = sum(map(walks, figures.values()))
     name = max(figures, key=lambda robot: shortfall(figures[robot]))
-    spent = f"{point.samples / 1e6:.2f} million samples, {point.seconds:.0f} s"
+    spent = _spent(point.samples, point.seconds)
     reasons = why_not(figures[name])
     farthest = f"; {name}: {'; '.join(reasons)}" if reasons else ""
     return f"iteration {point.iterations}, {spent}: {walking} of {len(figures)} walk{farthest}"
+
+
+def _spent(samples: int, seconds: float) -> str:
+    return f"{samples / 1e6:.2f} million samples, {seconds:.0f} s"

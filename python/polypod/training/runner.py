@@ -144,6 +144,8 @@ class Runner(OnPolicyRunner):
         self.goal: Goal | None = None
         """Is asked after each iteration whether the training has reached it; of trainings in one
         process."""
+        self.stats_of_robots: Mapping[str, Mapping[str, float]] = {}
+        """Figures of the episodes that ended in the last `STATS_INTERVAL` iterations, by robot."""
         self.blocks = [sim.env_ids(robot) for robot in sim.robots]
         self.reward_scale: RewardScale | None = None
         if cfg["normalize_reward_per_robot"]:
@@ -265,7 +267,8 @@ class Runner(OnPolicyRunner):
         if self.watch is not None:
             self.watch(iteration + 1, scalars)
         if (iteration + 1) % STATS_INTERVAL == 0:
-            self.reporter.robots(sim.episode_stats(clear=True))
+            self.stats_of_robots = sim.episode_stats(clear=True)
+            self.reporter.robots(self.stats_of_robots)
         return observations
 
     def _share_figures(self, worked: float, waited: float) -> dict[str, float]:

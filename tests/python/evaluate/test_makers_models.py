@@ -10,12 +10,13 @@ import pytest
 
 import polypod
 import polypod.cli
-from common import FLAT_POLICY
+from common import FLAT_POLICY, LEGGED_POLICY, ROOT
 from polypod import _core, policy, robustness
+from polypod.export.robot import interfaces
 from polypod.mujoco_model import robot as model_robot
 from polypod.mujoco_model.reference import Ground, Reference
 from polypod.robustness import in_mujoco, in_polypod
-from polypod.sim2sim import Physics, mapping, mjcf, on_model, skeleton
+from polypod.sim2sim import Physics, mapping, mjcf, on_model, skeleton, told
 from polypod.sim2sim.maker import Choices, Model
 
 mujoco = pytest.importorskip("mujoco")
@@ -374,6 +375,39 @@ def test_its_own_actuators_follow_the_policys_targets(tmp_path, a1, actuator, ef
     mujoco.mj_forward(model.model, robots._data[0])
     robots._watch([0], no_limits)
     assert (robots.saturated[0] == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("actuator", "gains"),
+    [
+        ('<position name="{joint}_a" joint="{joint}" kp="60" kv="1.5"/>', {"stiffness": 60.0, "damping": 1.5}),
+        ('<position name="{joint}_a" joint="{joint}" kp="15" gear="2"/>', {"stiffness": 60.0}),
+        ('<motor name="{joint}_a" joint="{joint}" gear="2" ctrlrange="-7 7"/>', {}),
+    ],
+)
+def test_a_policy_of_descriptions_is_told_the_models_gains(tmp_path, a1, actuator, gains):
+    """As if polypod's robot had them; damping of joints is no gain."""
+    lines = "".join(actuator.format(joint=name) for name in robot_of("unitree_a1").joint_names)
+    text = edited(a1, drop=("actuator",)).replace("</mujoco>", f"<actuator>{lines}</actuator></mujoco>")
+    model = model_of(written(tmp_path, text))
+    stage = on_model.Stage(LEGGED_POLICY, "unitree_a1", SHORT)
+    interface, line = told.interface_on(model, stage.interface)
+    config = ROOT / "configs/robots/unitree_a1.toml"
+    content = config.read_text(encoding="utf-8").replace("assets/robots", str(ROOT / "assets/robots"))
+    for key, value in {"stiffness": 25.0, "damping": 0.5}.items():
+        content = content.replace(f"\n{key} = {value}", f"\n{key} = {gains.get(key, value)}")
+    own = written(tmp_path, content, "unitree_a1.toml")
+    (same,) = interfaces(policy.load(LEGGED_POLICY).manifest, [str(own)]).values()
+    np.testing.assert_allclose(interface.constants[told.TERM], same.constants[told.TERM], rtol=1e-6)
+    assert (interface is stage.interface) == (line is None) == (not gains)
+    # all that drives it is the policy's
+    unchanged = told.interface_on(model_of(written(tmp_path, text), actuators="policy"), stage.interface)
+    assert unchanged == (stage.interface, None)
+    # a policy that reads none
+    flat = on_model.Stage(FLAT_POLICY, "unitree_a1", SHORT)
+    assert told.interface_on(model, flat.interface) == (flat.interface, None)
+    assert flat.told(model) == []
+    assert stage.told(model) == ([] if line is None else [line])
 
 
 def test_contacts_and_motors_are_as_asked(tmp_path, a1):

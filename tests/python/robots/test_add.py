@@ -137,6 +137,22 @@ def test_an_mjcf_file_becomes_a_robot_that_trains(cli, tmp_path, written, monkey
     assert done.returncode == 0, done.stderr
 
 
+def test_a_keyframe_in_which_a_robot_lies_is_no_default_pose(tmp_path, written):
+    """Its joints hold it low above the ground: policies stand up from there first, if they do."""
+    thigh, knee = 1.35, KNEE - 2.55
+    file = written(key=" ".join([f"0 {thigh} {knee}"] * 4))
+    added = add(str(file), tmp_path / "mine")
+    (note,) = (note for note in added.notes if note.startswith("the keyframe home"))
+    assert re.fullmatch(
+        r"the keyframe home: its hips are 0\.1\d m high, and 0\.3\d m where it stands: replaced by a pose that it "
+        "stands in",
+        note,
+    )
+    assert added.new.standing.holds
+    pose = tomllib.loads(added.new.path.read_text())["default_pose"]
+    assert all(abs(pose[f"{leg}_HFE"]) < 1.1 for leg in ("LF", "LH", "RF", "RH"))
+
+
 def test_added_robots_of_three_kinds_train_in_one_batch_with_robots_of_the_library(cli, tmp_path, written, monkeypatch):
     """A fox, gymnasium's ant and its humanoid, with three robots of the library.
 

@@ -1,5 +1,6 @@
 """Robots whose URDF has another base frame than x forward and z up, or other units than metres."""
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,7 +11,8 @@ from test_new_robot import quadruped
 
 from common import ROOT
 from polypod import _core, base_frames, urdf_copies
-from polypod.add import add, judge
+from polypod.add import add, compiling, judge
+from polypod.add import turned as upright_model
 from polypod.new_robot import new_robot
 
 LIBRARY = sorted((ROOT / "assets" / "robots").glob("*/robot.urdf"))
@@ -116,6 +118,82 @@ def test_a_turned_robot_is_added_upright(tmp_path, frame, robot, aside):
     assert added.errors
     for dtype, errors in added.errors.items():
         assert errors.worst() <= judge.BOUNDS[dtype]
+
+
+@pytest.mark.parametrize("robot", ["fox", "unitree_g1"])
+@pytest.mark.parametrize("frame", ["y forward, z up", "x forward, -z up", "z forward, x up", "x forward, y up"])
+def test_a_turned_mjcf_robot_is_added_upright(tmp_path, frame, robot):
+    """Its base gets another frame, and its keyframe stands as it stood."""
+    mujoco = pytest.importorskip("mujoco")
+    text = quadruped() if robot == "fox" else (ROOT / f"assets/robots/{robot}/robot.urdf").read_text()
+    turn = np.array(FRAMES[frame], dtype=np.float64)
+    right, other = tmp_path / "right.xml", tmp_path / "other.xml"
+    for file, urdf, upright in ((right, text, np.eye(3)), (other, turned(text, FRAMES[frame]), turn.T)):
+        options = '<mujoco><compiler fusestatic="false" discardvisual="true"/></mujoco></robot>'
+        plain = re.sub("<mujoco>.*?</mujoco>", "", urdf, flags=re.DOTALL)
+        spec = mujoco.MjSpec.from_string(plain.replace("</robot>", options))
+        (base,) = list(spec.worldbody.bodies)[:1]
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, upright.flatten())
+        base.quat = quaternion
+        base.add_freejoint()
+        size = spec.compile().nq
+        spec.add_key(name="home", qpos=[0.0, 0.0, 1.0, *quaternion, *np.zeros(size - 7)])
+        file.write_text(spec.to_xml(), encoding="utf-8")
+    known, added = (add(str(file), tmp_path / file.stem, name=file.stem) for file in (right, other))
+    made, wanted = (tomllib.loads(each.new.path.read_text()) for each in (added, known))
+    assert made["joint_roles"] == wanted["joint_roles"]
+    assert made["feet"] == wanted["feet"]
+    assert made["default_pose"] == pytest.approx(wanted["default_pose"], abs=2e-3)
+    assert added.new.pose_holds == known.new.pose_holds
+    (note,) = (note for note in added.notes if "let its frame have x forward and z up" in note)
+    assert f"so {frame.split()[2]} is taken for up" in note
+    assert not [note for note in known.notes if "let its frame" in note]
+    assert added.errors
+    for dtype, errors in added.errors.items():
+        assert errors.worst() <= judge.BOUNDS[dtype]
+
+
+FRAMED = """<mujoco><worldbody><body name="base" pos="0 0 1" euler="10 20 30"><freejoint/>{inertial}
+  <geom type="capsule" size="0.02" fromto="0 0 0 0.3 0 0.1"/>
+  <frame euler="0 0 30"><geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0"/><frame pos="0 0.1 0">
+    <site name="in_two" zaxis="1 1 0"/><body name="a" pos="0.2 0 0"><joint axis="0 1 0"/><geom size="0.1"/></body>
+  </frame></frame>
+  <body name="b" pos="0.3 0 0" euler="10 20 30"><joint axis="1 0 0"/><geom size="0.1" pos="0 0 0.2"/></body>
+</body></worldbody>
+<keyframe><key name="home" qpos="0.1 0.2 1 0.5 0.5 -0.5 0.5 0.3 -0.4" qvel="1 2 3 0.1 0.2 0.3 4 5"/></keyframe>
+</mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "inertial",
+    [
+        "",
+        '<inertial pos="0.1 0 0" mass="2" fullinertia="0.1 0.2 0.25 0.01 0.02 0"/>',
+        '<inertial pos="0.1 0 0" euler="5 6 7" mass="2" diaginertia="0.1 0.2 0.25"/>',
+    ],
+)
+@pytest.mark.parametrize("frame", FRAMES)
+def test_a_turned_model_is_the_same_robot(tmp_path, frame, inertial):
+    """All ways to write a place: what is where, and how heavy, stays."""
+    mujoco = pytest.importorskip("mujoco")
+    file = tmp_path / "framed.xml"
+    file.write_text(FRAMED.format(inertial=inertial))
+    axes = np.array(FRAMES[frame], dtype=np.float64)
+    found = []
+    for made in (compiling.compiled(file), upright_model.turned(compiling.compiled(file), axes)):
+        made.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+        data = mujoco.MjData(made.model)
+        mujoco.mj_resetDataKeyframe(made.model, data, 0)
+        mujoco.mj_forward(made.model, data)
+        found.append(data)
+    one, other = found
+    np.testing.assert_allclose(one.geom_xpos, other.geom_xpos, atol=1e-12)
+    np.testing.assert_allclose(one.geom_xmat, other.geom_xmat, atol=1e-12)
+    np.testing.assert_allclose(one.site_xmat, other.site_xmat, atol=1e-12)
+    np.testing.assert_allclose(one.xipos, other.xipos, atol=1e-12)
+    np.testing.assert_allclose(one.energy, other.energy, rtol=1e-12)
+    np.testing.assert_allclose(one.xmat[1].reshape(3, 3) @ axes, other.xmat[1].reshape(3, 3), atol=1e-12)
 
 
 @pytest.mark.parametrize("robot", ["fox", "unitree_go2", "unitree_g1"])

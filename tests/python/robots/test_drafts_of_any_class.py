@@ -382,3 +382,70 @@ def test_arms_above_a_spine_are_no_legs(tmp_path, height, is_upper_body):
             _core.draft_robot(file)
     else:
         assert tomllib.loads(_core.draft_robot(file)["toml"])["joint_roles"]["L_KNEE"] == "ld"
+
+
+@pytest.mark.parametrize(("moment", "is_token"), [(1.0, True), (1e-9, True), (-5e-20, True), (1e-3, False)])
+def test_placeholders_of_inertias_give_way_to_bars(tmp_path, moment, is_token):
+    """One moment in every link: links of a few hundred grams would turn as heavily as large balls."""
+    tree = ET.parse(urdf("berkeley_humanoid"))
+    for inertia in tree.iter("inertia"):
+        inertia.attrib = dict.fromkeys(("ixx", "iyy", "izz"), str(moment)) | dict.fromkeys(("ixy", "ixz", "iyz"), "0")
+    tree.write(tmp_path / "tokens.urdf")
+    made = new_robot(tmp_path / "tokens.urdf", tmp_path / "tokens.toml")
+    (own,) = (tmp_path / tomllib.loads(made.path.read_text())["urdf"],)
+    moments = [float(inertia.get("iyy")) for inertia in ET.parse(own).iter("inertia")]
+    said = [note for note in made.notes if "placeholder (as of" in note]
+    if is_token:
+        assert own.name == "tokens_with_inertias.urdf"
+        assert max(moments) < 0.1
+        assert len(said) == 1
+        assert made.pose_holds
+        is_usable(made)
+    else:
+        assert own.name == "tokens.urdf"
+        assert set(moments) == {moment}
+        assert said == []
+
+
+def hangs(name, parent, at, axis, shape, kind="revolute"):
+    """A link of 300 g and the joint above it."""
+    moves = (
+        f'<joint name="{name}_joint" type="{kind}"><origin xyz="{at}"/><parent link="{parent}"/><child link="{name}"/>'
+    )
+    limit = '<limit lower="-1" upper="1" effort="5" velocity="10"/>'
+    return link(name, 0.3, (0.04, 0.04, 0.04), shape=shape) + f'{moves}<axis xyz="{axis}"/>{limit}</joint>'
+
+
+def test_an_arm_on_the_back_that_turns_as_a_leg_does_is_no_leg(tmp_path):
+    """Its wrist rolls and pitches twice, as a hip and a knee do."""
+    places = ("0.1 0 0.1", "0 0 0.05", "0.2 0 0", "0.2 0 0", "0.05 0 0", "0.05 0 0", "0.05 0 0")
+    axes = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0", "0 1 0")
+    parents = ("trunk", *(f"arm{at}" for at in range(6)))
+    arm = "".join(
+        hangs(f"arm{at}", parent, place, axis, None)
+        for at, (parent, place, axis) in enumerate(zip(parents, places, axes, strict=True))
+    )
+    (tmp_path / "back.urdf").write_text(quadruped().replace("</robot>", f"{arm}</robot>"))
+    made = new_robot(tmp_path / "back.urdf", tmp_path / "back.toml")
+    assert made.is_quadruped
+    assert made.standing.holds
+    assert set(tomllib.loads(made.path.read_text())["locked_joints"]) == {f"arm{at}_joint" for at in range(7)}
+    # one line for all of them
+    (note,) = (note for note in made.notes if note.startswith("[locked_joints]"))
+    assert note.endswith("is no leg's and is held at 0 (as are 6 more)")
+
+
+def test_a_wheel_below_a_ball_is_the_foot(tmp_path):
+    """The ball is the shank's end; the robot stands on what reaches clearly farther."""
+    text = quadruped()
+    ends = [f"pad{at}" for at in range(4)]
+    assert all(f'<link name="{end}">' in text for end in ends)
+    wheel = '<cylinder radius="0.05" length="0.04"/>'
+    wheels = "".join(hangs(f"wheel_{end}", end, "0 0 -0.03", "0 1 0", wheel, "continuous") for end in ends)
+    # the axle lies across
+    wheels = wheels.replace("<collision><origin xyz", '<collision><origin rpy="1.5708 0 0" xyz')
+    (tmp_path / "wheels.urdf").write_text(text.replace("</robot>", f"{wheels}</robot>"))
+    made = new_robot(tmp_path / "wheels.urdf", tmp_path / "wheels.toml")
+    assert made.standing.holds
+    assert made.standing.carried > 0.95
+    assert set(tomllib.loads(made.path.read_text())["feet"].values()) == {f"wheel_{end}" for end in ends}

@@ -2,6 +2,8 @@
 
 import math
 import os
+import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -387,3 +389,25 @@ def test_quadrupeds_of_any_size_stand(tmp_path, mass, thigh, shank, length):
     for _ in range(20):
         observations = env.step(np.ones((4, 12), dtype=np.float32))[0]
     assert np.isfinite(observations).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"lower": 57.3, "upper": 57.3}, 'joint "[^"]*", <limit>: .* it looks like degrees; write radians'),
+        (
+            {"effort": 1e-6},
+            r"a config that follows from it is refused: actuators\..*below 0.001 N m; a URDF has metres",
+        ),
+    ],
+)
+def test_a_refused_draft_is_the_urdfs_fault_and_does_not_stay(tmp_path, changes, problem):
+    """Nobody wrote the config; the line names the URDF and what to look at there."""
+    tree = ElementTree.parse(ROOT / "assets/robots/berkeley_humanoid/robot.urdf")
+    for limit in tree.iter("limit"):
+        for key, factor in changes.items():
+            limit.set(key, repr(factor * float(limit.get(key))))
+    tree.write(tmp_path / "mine.urdf")
+    with pytest.raises(_core.RobotError, match=rf"^{re.escape(str(tmp_path / 'mine.urdf'))}: {problem}"):
+        new_robot(tmp_path / "mine.urdf", tmp_path / "mine.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.urdf"]

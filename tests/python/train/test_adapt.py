@@ -183,7 +183,7 @@ def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cl
 
 def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, measured):
     """A student has no critic: a new one learns first."""
-    measured(bad(0.4), FIGURES, FIGURES)
+    measured(bad(0.4), bad(0.4), FIGURES, FIGURES)  # 16 envs first
     noise = "observations.enable_noise=true"
     done = cli("adapt", "unitree_h1", *FLAGS, "--set", noise)
     assert done.returncode == 0, done.stderr
@@ -336,7 +336,10 @@ def test_a_network_that_goes_on_keeps_its_reward_set():
         ({}, True, AT_ONCE, True),
         ({}, True, LATER, False),
         ({}, True, {}, False),
+        # without a GPU robots on two legs alone
         ({}, False, AT_ONCE, False),
+        ({"robot": "bolt"}, False, AT_ONCE, True),
+        ({"robot": "bolt"}, False, LATER, False),
         ({"neighbours": 1}, True, AT_ONCE, False),
         ({"checkpoint": LEGGED}, True, AT_ONCE, False),
         ({"checkpoint": LEGGED, "separate": "always"}, True, AT_ONCE, True),
@@ -346,26 +349,53 @@ def test_a_network_that_goes_on_keeps_its_reward_set():
 )
 def test_when_a_separate_network_begins(monkeypatch, options, has_gpu, falls, begins):
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
-    before = dataclasses.replace(FIGURES, **falls)
-    assert adapt._is_separate(adapt.Options("spot", **options), before) is begins
+    before, given = dataclasses.replace(FIGURES, **falls), {"robot": "spot", **options}
+    assert adapt._is_separate(adapt.Options(**given), given["robot"], before) is begins
 
 
 @pytest.mark.parametrize(
-    ("has_gpu", "falls", "counts"),
-    [(True, AT_ONCE, [16]), (True, LATER, [16, 64]), (True, {}, [16, 64]), (False, AT_ONCE, [64])],
+    ("robot", "has_gpu", "falls", "counts"),
+    [
+        ("spot", True, AT_ONCE, [16, 64]),
+        ("spot", True, LATER, [16, 64, 64]),
+        ("unitree_h1", True, {}, [16, 64]),
+        ("unitree_h1", False, AT_ONCE, [16]),
+        ("spot", False, AT_ONCE, [64, 64]),
+    ],
 )
-def test_a_policy_that_falls_at_once_is_measured_no_further(monkeypatch, tmp_path, has_gpu, falls, counts):
+def test_a_policy_that_falls_at_once_is_measured_no_further(monkeypatch, tmp_path, robot, has_gpu, falls, counts):
     """The separate network needs the time more."""
     found = []
 
     def measured(checkpoint, robots, changes, options, envs_per_robot=64):
         found.append(envs_per_robot)
-        return {"unitree_h1": dataclasses.replace(FIGURES, **falls)}
+        return {robot: dataclasses.replace(FIGURES, **falls)}
 
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: has_gpu)
     monkeypatch.setattr(adapt, "_measured", measured)
-    adapt._start(adapt.Options("unitree_h1"), tmp_path, adapt.Progress())
+    adapt._start(adapt.Options(robot), tmp_path, adapt.Progress())
     assert found == counts
+
+
+def test_the_first_look_takes_one_thread(monkeypatch, tmp_path):
+    """On a busy machine a small batch waits long for the threads of torch."""
+    found = {}
+
+    def evaluated(checkpoint, robots, *, num_envs, **arguments):
+        found[num_envs] = torch.get_num_threads()
+        return evaluation({})
+
+    evaluation = dataclasses.make_dataclass("Evaluation", ["robots"])
+    monkeypatch.setattr(adapt, "evaluate_checkpoint", evaluated)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        for count in (adapt.GLANCE, adapt.ENVS_PER_ROBOT):
+            adapt._measured(LEGGED, ["bolt"], [], adapt.Options("bolt"), count)
+        assert found == {adapt.GLANCE: 1, adapt.ENVS_PER_ROBOT: 2}
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
 
 
 def test_a_critic_goes_on_for_another_body():

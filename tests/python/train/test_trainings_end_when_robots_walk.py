@@ -101,6 +101,31 @@ def test_a_deadline_ends_it_after_one_more_measurement(tmp_path, monkeypatch):
     assert runner.current_learning_iteration == len(goal.points) == 1
 
 
+def test_a_robot_that_only_stands_is_not_measured(tmp_path, monkeypatch):
+    """But for the last time: the figures of the training's episodes say enough."""
+    measured(monkeypatch, [bad(0.4), bad(0.3)])
+    stats = {"command_xy": 0.4, "fall_rate": 0.13}
+    errors, lines = [0.33, 0.41, 0.2, 0.41], []
+
+    class Told(UntilWalks):
+        def ends(self, runner, is_last):
+            error = errors[runner.current_learning_iteration - 1]
+            runner.stats_of_robots = {"unitree_go1": {**stats, "error_vel_xy": error}}
+            return super().ends(runner, is_last)
+
+    goal = Told(1, from_share_of_still=0.8, tell=lines.append)
+    session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert [point.iterations for point in goal.points] == [3, 4]
+    assert len(lines) == 2
+    assert lines[0].startswith("iteration 1, 0.00 million samples")
+    assert lines[0].endswith("unitree_go1 follows no better than standing still, and falls in 13% of the episodes")
+    # without figures it is measured
+    measured(monkeypatch, [bad(0.4)] * 4)
+    goal = UntilWalks(1, from_share_of_still=0.8, tell=lines.append)
+    session.train_with(options(tmp_path / "other"), Workers.alone(), goal=goal)
+    assert len(goal.points) == 4
+
+
 def test_robots_that_need_not_walk_end_nothing(tmp_path, monkeypatch):
     measured(monkeypatch, [FIGURES, FIGURES])
     goal = UntilWalks(1, ["unitree_go1"], confirm=True)
