@@ -170,11 +170,11 @@ pub enum ResetSet {
     Bodies,
     /// States, targets, commands and sums of these envs.
     Envs,
-    /// Their robots are lifted above the ground, and their feet placed.
+    /// Lifts the robots above the ground, and places their feet.
     Place,
-    /// Their sensors.
+    /// Resets the sensors.
     Sensors,
-    /// Their mirrors.
+    /// Draws the mirrors.
     Mirror,
 }
 

@@ -202,10 +202,10 @@ impl<'a> MorphologySetup<'a, f32> {
 
 /// Engine, and the precision in which it computes.
 pub(crate) enum EngineChoice {
-    /// In single precision on an instruction set; robots stand on the terrain, or else on the plane
-    /// of the settings.
+    /// Articulated bodies in single precision on an instruction set. Robots stand on the terrain,
+    /// or else on the plane of the settings.
     Articulated(Simd, Option<Arc<HeightGrid>>),
-    /// In double precision, one robot at a time.
+    /// Articulated bodies in double precision, one robot at a time.
     ArticulatedDouble,
     /// Avian with a number of substeps, and with the parts of obstacles on the plane of the
     /// settings.

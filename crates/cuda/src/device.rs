@@ -21,7 +21,7 @@ pub enum DeviceError {
     OldCard {
         /// Name of the card.
         name: String,
-        /// Its compute capability.
+        /// Compute capability of the card.
         capability: (i32, i32),
     },
     /// The compiler NVRTC is not there.

@@ -36,7 +36,7 @@ pub mod flags {
         STANDING,
         /// A caller has set the command.
         PINNED,
-        /// The physics of the control step broke the state, of a robot that is watched.
+        /// The physics of the control step broke the state of a robot whose steps are checked.
         BROKEN,
         /// There is a last observation of an episode that ended in the control step.
         HAS_FINAL,
@@ -112,9 +112,9 @@ pub struct RewardForm {
 pub struct ObservationForm {
     /// The term.
     pub form: Form,
-    /// Its first column.
+    /// First column of the term.
     pub column: usize,
-    /// Its numbers in one control step.
+    /// Count of the term's numbers in one control step.
     pub size: usize,
     /// Control steps that it remembers, the present one included.
     pub memory: usize,
@@ -151,9 +151,9 @@ pub struct Delay {
 /// When envs whose episode has ended are reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AutoresetForm {
-    /// In the same control step.
+    /// Resets in the control step that ends the episode.
     SameStep,
-    /// In the next one.
+    /// Resets in the next control step.
     NextStep,
     /// When a caller asks.
     Never,
@@ -170,7 +170,7 @@ pub struct TaskForm {
     pub joints: usize,
     /// Contact bodies that are feet.
     pub feet: Vec<usize>,
-    /// Their columns in the batch.
+    /// First column of each foot in the batch.
     pub foot_columns: Vec<usize>,
     /// Numbers that an env keeps for its observations.
     pub kept: usize,
@@ -566,7 +566,7 @@ pub struct EnvHost<'a> {
 /// An episode that has ended.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ended {
-    /// Its flags.
+    /// Flags of the ended episode.
     pub flags: u32,
     /// Causes of its end.
     pub causes: u32,

@@ -215,7 +215,7 @@ impl JointNetwork {
         }
     }
 
-    /// Its statistics before the first sample: of states, of a description's numbers, of their
+    /// Statistics before the first sample: of states, of a description's numbers, of their
     /// logarithms, of the rest.
     pub(crate) fn normalizers(&self) -> Vec<Normalizer> {
         self.sizes_of_statistics().map(Normalizer::new).to_vec()

@@ -35,7 +35,7 @@ pub struct Options {
     pub algorithm: Algorithm,
     /// Divide each robot's rewards by the deviation of its returns.
     pub normalize_reward_per_robot: bool,
-    /// Over each robot's own samples instead of all samples.
+    /// Whether advantages are normalised over each robot's own samples instead of all samples.
     pub normalize_advantage_per_robot: bool,
     /// Use of mirror images.
     pub symmetry: Symmetry,
@@ -139,7 +139,7 @@ impl Symmetry {
 /// A block of envs with the same robot.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    /// Its envs, `[start, stop)`.
+    /// Envs of the robot, `[start, stop)`.
     pub envs: (usize, usize),
     /// Mirror of each number of an observation: index and sign of its image. Empty where there is
     /// no mirror.

@@ -99,7 +99,7 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
     Ok(dict)
 }
 
-/// Files with what they say, and the whole, as TOML.
+/// Config files with their settings, and the merged config, as TOML.
 type ExplainedTexts = (Vec<(String, String)>, String);
 
 fn texts_of(py: Python<'_>, found: Result<Explained, ConfigError>) -> PyResult<ExplainedTexts> {

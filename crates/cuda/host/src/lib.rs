@@ -109,7 +109,8 @@ impl OwnText {
         Ok(Self(library))
     }
 
-    /// As [`step_on_host`]. The block must have the tables that the text was compiled for.
+    /// Makes the step of [`step_on_host`] with this text. The block must have the tables that the
+    /// text was compiled for.
     pub fn step(&self, block: &mut Block, substeps: Range<usize>) -> bool {
         // SAFETY: the text has this function
         unsafe { self.0.get::<Step>(b"polypod_control_step\0") }.is_ok_and(|step| step_with(*step, block, substeps))
@@ -129,7 +130,7 @@ pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
     step_with(polypod_control_step_by_threads, block, substeps)
 }
 
-/// As [`step_on_host`].
+/// Makes the step of [`step_on_host`]; other machines have no coroutines.
 #[cfg(not(target_os = "linux"))]
 pub fn step_by_threads(block: &mut Block, substeps: Range<usize>) -> bool {
     step_on_host(block, substeps)
