@@ -210,9 +210,10 @@ def train_with(
                 runner.start_from(options.init)
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         among = f", each of {workers.count} workers" if workers.count > 1 else ""
+        learner = _learner(run_config.learner, device, vec_env.card is not None)
         reporter.message(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
-            f"simulator {env.sim.threads} threads{among}, {_learner(run_config.learner, device)}; {run}"
+            f"simulator {env.sim.threads} threads{among}, {learner}; {run}"
         )
         runner.logger.open(
             options.logger if workers.is_first else "none",
@@ -445,7 +446,8 @@ def runner_of(
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
         return NativeRunner(env, train_config, run, device, reporter, workers)
     quick_start.import_compiler()
-    if train_config.run.learner == "native":
+    # a policy that acts where the simulator's steps are: nothing of a step leaves the card
+    if train_config.run.learner == "native" and not (env.card is not None and train_config.can_be_graphs):
         return GpuRunner(env, train_config, run, device, reporter, workers)
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
@@ -457,7 +459,9 @@ def runner_of(
     return runner
 
 
-def _learner(learner: str, device: str) -> str:
+def _learner(learner: str, device: str, has_steps_on_card: bool) -> str:
+    if has_steps_on_card:
+        return f"its steps, the policy and the {learner} learner's update on {torch.cuda.get_device_name(device)}"
     if learner == "native":
         of_update = "" if device == "cpu" else f", its update on {torch.cuda.get_device_name(device)}"
         return f"native learner on the same{of_update}"
