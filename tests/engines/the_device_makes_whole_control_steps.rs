@@ -617,3 +617,24 @@ fn a_card_that_is_lost_with_the_state_is_an_error_in_each_step() {
     sim.restore(&saved).unwrap();
     sim.step(&actions).unwrap();
 }
+
+#[test]
+fn a_card_that_is_lost_while_steps_flow_is_an_error_too() {
+    let (host, left) = (Host::default(), Arc::new(AtomicUsize::new(6)));
+    let device = (host.clone(), left);
+    let mut sim = on(busy(&["unitree_a1"], 20), move || Ok(Arc::new(Lost(device.0.clone(), device.1.clone()))));
+    let saved = sim.snapshot().unwrap();
+    let rows = sim.device_rows().unwrap().unwrap();
+    let actions = vec![0.0; rows.sizes.part(RowsOf::Given).len()];
+    for _ in 0..5 {
+        flow(&host, &mut sim, &actions);
+    }
+    for _ in 0..2 {
+        let error = sim.step_device(0).unwrap_err().to_string();
+        assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
+    }
+    let error = sim.device_rows().unwrap_err().to_string();
+    assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
+    sim.restore(&saved).unwrap();
+    sim.step(&actions).unwrap();
+}
