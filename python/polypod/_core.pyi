@@ -1050,6 +1050,13 @@ class VecSim:
         None if nothing is in the way, see `stay_on_device`.
         """
 
+    @property
+    def choice_of_engine(self) -> str | None:
+        """Choice of the engine `auto` between the CPU and the card, with the times of both.
+
+        None with another engine, and while both are being timed.
+        """
+
     def device_arrays(self) -> dict[str, DeviceArray] | None:
         """The arrays of all envs in the card's memory, for `step_device`, without a copy.
 

@@ -41,6 +41,21 @@ enum Place {
     Shared,
 }
 
+/// Whether the device is faster, and the times in words.
+fn verdict(of_cpu: &[Duration], of_device: &[Duration]) -> (bool, String) {
+    let median = |times: &[Duration]| {
+        let mut last = times.get(TIMED..).unwrap_or_default().to_vec();
+        last.sort_unstable();
+        last.get(last.len() / 2).map_or(f64::INFINITY, Duration::as_secs_f64)
+    };
+    let (cpu, device) = (median(of_cpu), median(of_device));
+    let is_faster = cpu > LEAST_GAIN * device;
+    let who =
+        if is_faster { "the card makes the steps" } else { "the CPU makes the steps, or shares them with the card" };
+    let times = format!("{:.2} ms on the CPU and {:.2} ms as a whole on the card", 1e3 * cpu, 1e3 * device);
+    (is_faster, format!("{who}: a control step takes {times}"))
+}
+
 /// Whether the state may be on the device, and whether it is.
 #[derive(Default)]
 pub(super) struct Residence {
@@ -55,6 +70,8 @@ pub(super) struct Residence {
     is_behind: bool,
     /// An env whose actions were refused in a step that flowed.
     refused: Option<usize>,
+    /// Reason of the choice between the CPU and the device.
+    choice: Option<String>,
     /// Why it does not, as the log has said.
     lacks: Option<String>,
     /// Whether the device failed with the state.
@@ -87,7 +104,10 @@ impl Sim {
         self.residence.place = if !may_share_on_device(&mut self.world) {
             Place::Device
         } else if let Some(lacks) = lacks_on_device(&mut self.world) {
-            tracing::info!("physics.engine auto: no whole steps on the card: {lacks}: no form on the device");
+            let choice =
+                format!("the CPU makes the steps, or shares them with the card: no form on the card has {lacks}");
+            tracing::info!("physics.engine auto: {choice}");
+            self.residence.choice = Some(choice);
             Place::Shared
         } else {
             share_with_device(&mut self.world, false);
@@ -114,20 +134,9 @@ impl Sim {
         if of_device.len() < 2 * TIMED && !failed {
             return;
         }
-        let median = |times: &[Duration]| {
-            let mut last = times.get(TIMED..).unwrap_or_default().to_vec();
-            last.sort_unstable();
-            last.get(last.len() / 2).map_or(f64::INFINITY, Duration::as_secs_f64)
-        };
-        let [cpu, device] = [&*of_cpu, &*of_device].map(|times| median(times));
-        let is_faster = cpu > LEAST_GAIN * device;
-        tracing::info!(
-            "physics.engine auto: a control step takes {:.2} ms on the CPU and {:.2} ms as a whole on the card, with the \
-             same bits: {}",
-            1e3 * cpu,
-            1e3 * device,
-            if is_faster { "the card makes them" } else { "they begin on the CPU" }
-        );
+        let (is_faster, choice) = verdict(of_cpu, of_device);
+        tracing::info!("physics.engine auto: {choice}");
+        self.residence.choice = Some(choice);
         self.residence.place = if is_faster { Place::Device } else { Place::Shared };
         if !is_faster {
             self.return_to_host();
@@ -257,6 +266,12 @@ impl Sim {
         Ok(())
     }
 
+    /// Choice between the CPU and the device, where the engine leaves that open, with its reason;
+    /// `None` while nobody knows.
+    pub fn choice_of_engine(&self) -> Option<&str> {
+        self.residence.choice.as_deref()
+    }
+
     /// Brings the components and the batch up to date. A failure is the error of each further step.
     pub(super) fn return_to_host(&mut self) {
         self.residence.quiet = 0;
@@ -370,5 +385,24 @@ impl Sim {
         self.world.resource_scope(|world, mut logs: bevy_ecs::prelude::Mut<Logs>| {
             f(&mut logs, world.resource::<CompiledTask>(), world.resource::<Morphologies>())
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_device_makes_the_steps_where_its_last_ones_are_clearly_faster() {
+        let ms = |first: u64, last: u64| {
+            [first, last].iter().flat_map(|&ms| [Duration::from_millis(ms); TIMED]).collect::<Vec<_>>()
+        };
+        assert!(verdict(&ms(30, 30), &ms(900, 20)).0);
+        assert!(!verdict(&ms(90, 20), &ms(5, 30)).0);
+        assert!(!verdict(&ms(30, 100), &ms(30, 99)).0);
+        let (_, words) = verdict(&ms(30, 30), &ms(90, 20));
+        assert!(words.ends_with("takes 30.00 ms on the CPU and 20.00 ms as a whole on the card"), "{words}");
+        // a device that made no step is no faster
+        assert!(!verdict(&ms(30, 30), &[]).0);
     }
 }

@@ -958,6 +958,12 @@ impl VecSim {
         self.sim.run(py, Sim::lacks_on_device)
     }
 
+    #[doc = docstring!("VecSim.choice_of_engine")]
+    #[getter]
+    fn choice_of_engine(&self) -> Option<&str> {
+        self.sim.choice_of_engine()
+    }
+
     #[doc = docstring!("VecSim.set_dump_dir")]
     #[pyo3(signature = (dump_dir))]
     fn set_dump_dir(&mut self, py: Python<'_>, dump_dir: Option<PathBuf>) -> PyResult<()> {

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import polypod
-from polypod import _core, quick_start, text
+from polypod import _core, quick_start, simulated, text
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions import tracking
 from polypod.python_terms import Terms, load
@@ -215,6 +215,8 @@ def train_with(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
             f"simulator {env.sim.threads} threads{among}, {learner}; {run}"
         )
+        if (why := _why(env.sim)) is not None:
+            reporter.message(f"polypod: {why}")
         runner.logger.open(
             options.logger if workers.is_first else "none",
             runner.current_learning_iteration,
@@ -457,6 +459,15 @@ def runner_of(
     if train_config.distillation is not None and train_config.distillation.teacher is not None:
         runner.learn_from(Path(train_config.distillation.teacher))
     return runner
+
+
+def _why(sim: _core.VecSim) -> str | None:
+    """Why the CPU or a card makes the control steps, where the task's engine leaves that open."""
+    engine = simulated.config(sim)["task"].get("physics", {}).get("engine")
+    if engine == "auto" and (choice := getattr(sim, "choice_of_engine", None)) is not None:
+        return f"{ENGINE}auto: {choice}"
+    lacks = sim.lacks_on_device() if engine == "cuda" else None
+    return f"{ENGINE}cuda: the CPU makes all but the physics: no form on the card has {lacks}" if lacks else None
 
 
 def _learner(learner: str, device: str, has_steps_on_card: bool) -> str:

@@ -4,6 +4,7 @@ The host's memory stands for the card's, and the simulator's steps on the host f
 card.
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import polypod
 from common import ROBOTS, TASK
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
+from polypod.training import session
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.report import Reporter
 from polypod.training.session import runner_of
@@ -118,3 +120,21 @@ def test_the_native_learner_acts_on_the_card_too(tmp_path: Any, monkeypatch: pyt
     for env in (make(VecEnv), make(OnCard)):
         runner_of(env, made_of, tmp_path, "cuda:0", Reporter(quiet=True))
     assert chosen == ["GpuRunner", "GraphRunner"]
+
+
+@pytest.mark.parametrize(
+    ("engine", "said"),
+    [
+        ("auto", "physics.engine=auto: the card makes the steps: 1 ms"),
+        ("cuda", "physics.engine=cuda: the CPU makes all but the physics: no form on the card has uneven ground"),
+        ("articulated", None),
+    ],
+)
+def test_a_training_says_who_makes_the_steps(monkeypatch: pytest.MonkeyPatch, engine: str, said: str | None) -> None:
+    sim: Any = SimpleNamespace(
+        choice_of_engine="the card makes the steps: 1 ms", lacks_on_device=lambda: "uneven ground"
+    )
+    monkeypatch.setattr(session.simulated, "config", lambda _: {"task": {"physics": {"engine": engine}}})
+    assert session._why(sim) == said
+    silent: Any = SimpleNamespace(choice_of_engine=None, lacks_on_device=lambda: None)
+    assert session._why(silent) is None
