@@ -464,7 +464,7 @@ def runner_of(
 def _why(sim: _core.VecSim) -> str | None:
     """Why the CPU or a card makes the control steps, where the task's engine leaves that open."""
     engine = simulated.config(sim)["task"].get("physics", {}).get("engine")
-    if engine == "auto" and (choice := getattr(sim, "choice_of_engine", None)) is not None:
+    if engine == "auto" and (choice := sim.choice_of_engine) is not None:
         return f"{ENGINE}auto: {choice}"
     lacks = sim.lacks_on_device() if engine == "cuda" else None
     return f"{ENGINE}cuda: the CPU makes all but the physics: no form on the card has {lacks}" if lacks else None
