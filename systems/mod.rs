@@ -102,7 +102,10 @@ pub use terms::{
     TermKind, TermSource, TermSpec, TerminationTerm,
 };
 pub use view::{EventBody, NewBody, NewState, RobotView};
-pub(crate) use whole::{OnDevice, enter_device, lacks_on_device, leave_device, step_on_device};
+pub(crate) use whole::{
+    OnDevice, device_rows, enter_device, fetch_from_device, flow_on_device, given_actions, lacks_on_device,
+    leave_device, may_share_on_device, settle_device, share_with_device, show_on_device, step_on_device,
+};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]

@@ -29,6 +29,7 @@ pub use cuda::{OnDevice, WholeSteps, describe_card, search_packages};
 pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
+pub use polypod_cuda::{DeviceRows, RowSizes, RowsMemory, RowsOf};
 pub use registry::{EngineFactory, EngineSetup, Engines};
 pub use rows::RobotSlices;
 pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, clear_drive};

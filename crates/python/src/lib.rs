@@ -9,6 +9,7 @@ macro_rules! docstring {
 }
 
 mod arrays;
+mod device_array;
 mod exceptions;
 mod learner;
 mod rows;
@@ -298,6 +299,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
+    module.add_class::<device_array::DeviceArray>()?;
     module.add_class::<simulation::Simulation>()?;
     module.add_class::<learner::Learner>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;
