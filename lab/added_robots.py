@@ -78,7 +78,7 @@ class Row:
     """The robot's class, or nothing where it is refused."""
     joints: int
     errors: dict[str, float]
-    """By precision."""
+    """Errors by precision."""
     notes: list[str]
     refused: str
     seconds: float

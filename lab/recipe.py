@@ -109,7 +109,7 @@ class Recipe:
             if name.startswith("@drawn."):
                 found += sorted(path.stem for path in (bodies_folder(out, name[7:]) / "configs/robots").glob("*.toml"))
             else:
-                found += self.groups[name[1:]] if name.startswith("@") else [name]
+                found += self.robots(self.groups[name[1:]], out) if name.startswith("@") else [name]
         left_out = {*without, *(f"drafted_{robot}" for robot in without)}
         return [robot for robot in found if robot not in left_out]
 

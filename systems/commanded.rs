@@ -40,7 +40,7 @@ pub struct CommandTerm {
     pub name: String,
     /// Names of its numbers.
     pub columns: &'static [&'static str],
-    /// Its numbers among those of all commands.
+    /// Numbers of the term among those of all commands.
     pub range: Range<usize>,
     /// Time between two draws, s; absent where a reset alone draws it.
     pub(super) resampling_time_s: Option<f32>,

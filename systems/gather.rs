@@ -85,7 +85,7 @@ impl StateField {
         Self::Valid,
     ];
 
-    /// Its name in Python.
+    /// Name of the field in Python.
     pub fn name(self) -> &'static str {
         match self {
             Self::BasePos => "base_pos",

@@ -44,7 +44,7 @@ pub(crate) struct InstructionSet(pub(crate) Simd);
 /// Range of these envs within the whole batch.
 #[derive(Resource, Clone, Debug, PartialEq, Eq)]
 pub struct Share {
-    /// Their numbers in the whole batch. Row `i` is env `envs.start + i` there.
+    /// Envs of the share in the whole batch. Row `i` is env `envs.start + i` there.
     pub envs: Range<usize>,
     /// Envs of the whole batch.
     pub num_envs: usize,

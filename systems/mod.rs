@@ -102,7 +102,10 @@ pub use terms::{
     TermKind, TermSource, TermSpec, TerminationTerm,
 };
 pub use view::{EventBody, NewBody, NewState, RobotView};
-pub(crate) use whole::{OnDevice, enter_device, lacks_on_device, leave_device, step_on_device};
+pub(crate) use whole::{
+    OnDevice, device_rows, enter_device, fetch_from_device, flow_on_device, given_actions, lacks_on_device,
+    leave_device, may_share_on_device, settle_device, share_with_device, show_on_device, step_on_device,
+};
 
 /// Makes a simulation: loads the task and its robots and spawns everything. Runs once.
 #[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
@@ -170,11 +173,11 @@ pub enum ResetSet {
     Bodies,
     /// States, targets, commands and sums of these envs.
     Envs,
-    /// Their robots are lifted above the ground, and their feet placed.
+    /// Lifts the robots above the ground, and places their feet.
     Place,
-    /// Their sensors.
+    /// Resets the sensors.
     Sensors,
-    /// Their mirrors.
+    /// Draws the mirrors.
     Mirror,
 }
 

@@ -16,7 +16,7 @@ pub struct RobotView<'a> {
     pub morphology: &'a MorphologyModel,
     /// Forward and left velocity (m/s) and yaw rate (rad/s) that it is to follow, base frame.
     pub command: &'a [f32; 3],
-    /// Its other commands.
+    /// Numbers of the robot's other commands.
     pub commands: CommandView<'a>,
     /// Pose of the base; see [`base_height`](Self::base_height) for its height above the ground.
     pub pose: &'a BasePose,

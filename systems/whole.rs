@@ -1,6 +1,9 @@
 //! Whole control steps on a device: the columns of all envs stay there between steps, and only
 //! actions go there and observations, rewards and ends come back. Components are up to date again
 //! after [`leave_device`].
+//!
+//! A step that flows has its actions on the device, and leaves observations there. The host begins
+//! it and goes on; what a step tells of ended episodes is read some steps later.
 
 use std::sync::OnceLock;
 
@@ -18,10 +21,12 @@ use crate::components::{
     Action, Body, Command, ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode,
     EpisodeSums, EventTimers, JointTargets, Robot, Stance,
 };
-use crate::engine::device::{Column, DeviceError, Ended, EnvHost, TaskTables, Word, flags};
+use crate::engine::device::{
+    Column, Device, DeviceError, DeviceRows, Ended, EnvHost, Flow, RowSizes, RowsOf, SLOTS, TaskTables, Word, flags,
+};
 use crate::engine::{DivergenceRecord, RobotColumns, RobotSlices, WholeSteps};
 use crate::error::Error;
-use crate::morphology::Morphologies;
+use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::Autoreset;
 use crate::workers::Workers;
 use crate::world::Ground;
@@ -31,10 +36,21 @@ use crate::world::Ground;
 pub(crate) struct OnDevice {
     /// Since the components were up to date.
     steps: u64,
+    /// Steps among these whose ended episodes the host has counted; the others flow.
+    told: u64,
+    /// Env with an action that is not finite or beyond the limit.
+    refused: Option<usize>,
     /// Control steps of each env's simulation at that moment.
     before: Vec<u64>,
     /// Velocity commands after the last control step, `[num_envs, 3]`.
     pub(crate) commands: Vec<f32>,
+}
+
+impl OnDevice {
+    /// The place of a step among those that flow.
+    fn slot(step: u64) -> usize {
+        (step % SLOTS as u64) as usize
+    }
 }
 
 fn lost(error: &DeviceError) -> Error {
@@ -52,6 +68,19 @@ pub(crate) fn lacks_on_device(world: &mut World) -> Option<String> {
         return Some("systems of a plugin".into());
     }
     tables(world).err()
+}
+
+/// Whether the engine could share the robots, so that somebody must time what is faster.
+pub(crate) fn may_share_on_device(world: &mut World) -> bool {
+    let mut engine = world.get_resource_mut::<PhysicsEngine>();
+    engine.as_mut().and_then(|engine| engine.0.whole_steps()).is_some_and(|whole| whole.may_share())
+}
+
+/// Lets an engine that may share the robots do so.
+pub(crate) fn share_with_device(world: &mut World, share: bool) {
+    if let Some(whole) = world.get_resource_mut::<PhysicsEngine>().as_mut().and_then(|engine| engine.0.whole_steps()) {
+        whole.share(share);
+    }
 }
 
 /// Whether the schedules hold the systems of [`PolypodPlugins`] and no others.
@@ -151,23 +180,23 @@ fn enter(
     let fresh: Vec<Vec<bool>> =
         robots.read()?.into_iter().map(|block| block.rows.3.iter().map(|targets| targets.fresh).collect()).collect();
     let rows = robots.write()?.zip(envs.clone()).map(|_, (robots, envs)| RobotSlices::new(robots, envs.6)).collect();
-    if !whole.enter(&workers, rows, new.0.clone()).map_err(|error| lost(&error))? {
+    let sizes = RowSizes { envs: batch.num_envs, actions: batch.num_actions, observations: batch.num_obs };
+    if !whole.enter(&workers, rows, new.0.clone(), sizes).map_err(|error| lost(&error))? {
         return Ok(false);
     }
-    known.steps = 0;
+    let device = whole.device().map_err(|error| lost(&error))?;
+    show(device, &batch).map_err(|error| lost(&error))?;
+    (known.steps, known.told, known.refused) = (0, 0, None);
     known.before.clear();
     known.commands.clear();
     let blocks = more.read()?.zip(sensors.read()?).zip(envs).into_iter().zip(whole.hosts()).zip(fresh);
-    let width = batch.num_obs;
     let mut tasks = Vec::new();
     for ((Block { envs, rows: (robots, of_envs), .. }, host), fresh) in blocks {
         known.before.extend(of_envs.5.iter().map(|progress| progress.steps));
         known.commands.extend(of_envs.2.iter().flat_map(|command| command.velocity));
-        let observations = &batch.observations[envs.start * width..envs.end * width];
-        tasks.push((robots, of_envs, host, fresh, observations, &new.1[envs]));
+        tasks.push((robots, of_envs, host, fresh, &new.1[envs]));
     }
-    workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, observations, kept)| {
-        host.observations.copy_from_slice(observations);
+    workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, kept)| {
         let ((actions, stances, bodies), sensors) = robots;
         let (episodes, rngs, commands, timers, sums, ..) = of_envs;
         for env in 0..actions.len() {
@@ -202,6 +231,16 @@ fn enter(
     Ok(true)
 }
 
+/// Copies the outcome of the last control step to the device.
+fn show(device: &dyn Device, batch: &Batch) -> Result<(), DeviceError> {
+    device.write_rows(RowsOf::Actions, &batch.actions)?;
+    device.write_rows(RowsOf::Observations, &batch.observations)?;
+    device.write_rows(RowsOf::Finals, &batch.final_observations)?;
+    device.write_rows(RowsOf::Rewards, &batch.rewards)?;
+    let ends: Vec<u8> = batch.terminated.iter().chain(&batch.truncated).map(|&ended| u8::from(ended)).collect();
+    device.write_ends(&ends)
+}
+
 fn totals(sums: &EpisodeSums) -> [f32; 6] {
     let EpisodeSums { reward, error_vel_xy, error_vel_yaw, command_xy, command_yaw, speed_xy, .. } = *sums;
     [reward, error_vel_xy, error_vel_yaw, command_xy, command_yaw, speed_xy]
@@ -227,31 +266,177 @@ fn flags_of(episode: &Episode, command: &Command, fresh_targets: bool) -> u32 {
     bits.into_iter().filter(|(is_set, _)| *is_set).fold(0, |all, (_, bit)| all | bit)
 }
 
-/// One control step of all envs on the device, with the actions of the batch.
-///
-/// # Errors
-/// A device that is lost.
-pub(crate) fn step_on_device(world: &mut World) -> Result<(), Error> {
+/// Calls `f` with the device, the batch and what is known of the steps.
+fn with_device<T>(
+    world: &mut World,
+    f: impl FnOnce(&mut World, &mut dyn WholeSteps, &mut Batch, &mut OnDevice) -> Result<T, DeviceError>,
+) -> Result<T, Error> {
     world.resource_scope(|world, mut engine: Mut<PhysicsEngine>| {
         world.resource_scope(|world, mut batch: Mut<Batch>| {
             world.resource_scope(|world, mut known: Mut<OnDevice>| {
                 let whole = engine.0.whole_steps();
                 let whole = whole.ok_or_else(|| Error::argument("physics.engine", "it has no device", "use cuda"))?;
-                let (ended, broken) = step(world, whole, &mut batch, &mut known)?;
-                let found = broken.into_iter().filter_map(|(record, length)| {
-                    let body = body_of(world, record.env)?;
-                    Some((record, length, body))
-                });
-                let found = found.collect();
-                let limits = world.resource::<CompiledTask>().limits;
-                world.resource_mut::<BrokenStates>().count_step(found, limits);
-                if let Some(mut logs) = world.get_resource_mut::<Logs>() {
-                    ended.iter().for_each(|(morphology, env, ended)| log(&mut logs, &known, *morphology, *env, ended));
-                }
-                Ok(())
+                f(world, whole, &mut batch, &mut known).map_err(|error| lost(&error))
             })
         })
     })
+}
+
+/// One control step of all envs on the device, with the actions of the batch. No steps flow.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn step_on_device(world: &mut World) -> Result<(), Error> {
+    with_device(world, |world, whole, batch, known| {
+        step(world, whole, batch, known)?;
+        known.steps += 1;
+        tell(world, whole, batch, known, 0)
+    })
+}
+
+/// Begins a control step of all envs with the actions that are given on the device. Returns an env
+/// whose actions were refused in an earlier step.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn flow_on_device(world: &mut World, stream: u64) -> Result<Option<usize>, Error> {
+    with_device(world, |world, whole, batch, known| {
+        if known.steps - known.told == SLOTS as u64 {
+            wait_for_one(world, whole, batch, known)?;
+        }
+        let watched: Vec<bool> = watched_blocks(world).into_iter().map(|(_, _, watched)| watched).collect();
+        whole.step(&watched, Some(Flow { slot: OnDevice::slot(known.steps), stream }))?;
+        known.steps += 1;
+        Ok(known.refused.take())
+    })
+}
+
+/// Waits for all steps that flow, and reads what they tell. Returns an env whose actions were
+/// refused since the last call.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn settle_device(world: &mut World) -> Result<Option<usize>, Error> {
+    with_device(world, |world, whole, batch, known| {
+        while known.told < known.steps {
+            wait_for_one(world, whole, batch, known)?;
+        }
+        Ok(known.refused.take())
+    })
+}
+
+/// Brings the batch up to date, after steps that flowed.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn fetch_from_device(world: &mut World) -> Result<Option<usize>, Error> {
+    let refused = settle_device(world)?;
+    with_device(world, |world, whole, batch, known| {
+        let device = whole.device()?;
+        device.read_rows(RowsOf::Actions, &mut batch.actions)?;
+        device.read_rows(RowsOf::Observations, &mut batch.observations)?;
+        device.read_rows(RowsOf::Finals, &mut batch.final_observations)?;
+        device.read_rows(RowsOf::Rewards, &mut batch.rewards)?;
+        device.read_rows(RowsOf::Commands, &mut known.commands)?;
+        mask_actions(world, batch);
+        Ok(refused)
+    })
+}
+
+/// The arrays of all envs on the device; `None` before it has made any.
+pub(crate) fn device_rows(world: &mut World) -> Option<DeviceRows> {
+    world.get_resource_mut::<PhysicsEngine>()?.0.whole_steps()?.device().ok()?.rows()
+}
+
+/// Reads the actions that are given on the device, for a step that the host makes.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn given_actions(world: &mut World, stream: u64) -> Result<Vec<f32>, Error> {
+    with_device(world, |_, whole, batch, _| {
+        let mut actions = vec![0.0; batch.actions.len()];
+        let device = whole.device()?;
+        device.wait_for_caller(stream)?;
+        device.read_rows(RowsOf::Given, &mut actions)?;
+        Ok(actions)
+    })
+}
+
+/// Shows the outcome of a step of the host on the device.
+///
+/// # Errors
+/// A device that is lost.
+pub(crate) fn show_on_device(world: &mut World) -> Result<(), Error> {
+    with_device(world, |_, whole, batch, _| show(whole.device()?, batch))
+}
+
+/// Waits for the oldest step that flows, and reads what it tells.
+fn wait_for_one(
+    world: &mut World,
+    whole: &mut dyn WholeSteps,
+    batch: &mut Batch,
+    known: &mut OnDevice,
+) -> Result<(), DeviceError> {
+    let slot = OnDevice::slot(known.told);
+    whole.device()?.wait(slot)?;
+    tell(world, whole, batch, known, slot)
+}
+
+/// Morphology and envs of each block, and whether its broken states are watched.
+fn watched_blocks(world: &World) -> Vec<(usize, std::ops::Range<usize>, bool)> {
+    let watched = world.resource::<BrokenStates>().watched();
+    let blocks = world.resource::<BlockSizes>().iter().filter(|(_, envs)| !envs.is_empty());
+    let of = |(morphology, envs): (crate::components::Morphology, _)| {
+        let index = usize::from(morphology.0);
+        (index, envs, watched[index])
+    };
+    blocks.map(of).collect()
+}
+
+/// Reads what a step tells: how episodes have ended, for the batch and the logs, broken states and
+/// refused actions.
+fn tell(
+    world: &mut World,
+    whole: &mut dyn WholeSteps,
+    batch: &mut Batch,
+    known: &mut OnDevice,
+    slot: usize,
+) -> Result<(), DeviceError> {
+    known.told += 1;
+    let blocks = watched_blocks(world);
+    let (mut ended, mut broken) = (Vec::new(), Vec::new());
+    for (block, (told, (morphology, envs, watched))) in whole.told(slot).into_iter().zip(&blocks).enumerate() {
+        let mut first_broken = None;
+        for ((row, flags), env) in told.flags.iter().enumerate().zip(envs.clone()) {
+            batch.terminated[env] = flags & flags::TERMINATED != 0;
+            batch.truncated[env] = flags & flags::TRUNCATED != 0;
+            batch.has_final[env] = flags & flags::HAS_FINAL != 0;
+            if flags & flags::LOGGED != 0 {
+                ended.push((*morphology, env, told.ended(row)));
+            }
+            if flags & flags::BROKEN != 0 {
+                first_broken.get_or_insert(row);
+            }
+            if flags & flags::BAD_ACTION != 0 {
+                known.refused.get_or_insert(env);
+            }
+        }
+        broken.extend(first_broken.filter(|_| *watched).map(|robot| (block, *morphology, robot)));
+    }
+    let mut found = Vec::new();
+    for (block, morphology, robot) in broken {
+        if let Some((record, length)) = whole.record(block, robot)?
+            && let Some(body) = body_of(world, record.env)
+        {
+            found.push((DivergenceRecord { morphology, ..record }, length, body));
+        }
+    }
+    let limits = world.resource::<CompiledTask>().limits;
+    world.resource_mut::<BrokenStates>().count_step(found, limits);
+    if let Some(mut logs) = world.get_resource_mut::<Logs>() {
+        ended.iter().for_each(|(morphology, env, ended)| log(&mut logs, known, *morphology, *env, ended));
+    }
+    Ok(())
 }
 
 /// The body of an env's robot.
@@ -271,32 +456,41 @@ fn log(logs: &mut Logs, known: &OnDevice, morphology: usize, env: usize, ended: 
     let terms = SmallVec::from_slice(&ended.terms);
     let mut sums = EpisodeSums { terms, steps: ended.steps, ..EpisodeSums::default() };
     set_totals(&mut sums, ended.totals);
-    let progress = CurriculumProgress { steps: known.before[env] + known.steps, ..CurriculumProgress::default() };
+    let progress = CurriculumProgress { steps: known.before[env] + known.told, ..CurriculumProgress::default() };
     logs.add(morphology, &episode, &sums, &progress);
 }
 
 /// Rows of one block, of the batch and of the host's side.
 struct Part<'a, 'b> {
-    morphology: usize,
-    first: usize,
     host: EnvHost<'a>,
     observations: &'b mut [f32],
     finals: &'b mut [f32],
     rewards: &'b mut [f32],
     commands: &'b mut [f32],
-    flags: [&'b mut [bool]; 3],
-    width: usize,
 }
 
-/// Outcome of a control step beyond the batch: the episodes that the logs count, each with its
-/// morphology and env, and the records of broken states.
-type Told = (Vec<(usize, usize, Ended)>, Vec<(DivergenceRecord, u32)>);
+/// Sets actions for joints that a robot lacks to zero, as `apply_actions` does.
+fn mask_rows(rows: &mut [f32], robot: &MorphologyModel, actions: usize) {
+    if robot.slots.len() < actions {
+        let mask = robot.action_mask(actions);
+        for row in rows.chunks_exact_mut(actions) {
+            row.iter_mut().zip(&mask).filter(|(_, is_there)| !**is_there).for_each(|(action, _)| *action = 0.0);
+        }
+    }
+}
 
-fn step(world: &World, whole: &mut dyn WholeSteps, batch: &mut Batch, known: &mut OnDevice) -> Result<Told, Error> {
+fn mask_actions(world: &World, batch: &mut Batch) {
+    let (robots, width) = (&world.resource::<Morphologies>().0, batch.num_actions);
+    for (morphology, envs) in world.resource::<BlockSizes>().iter().filter(|(_, envs)| !envs.is_empty()) {
+        let rows = &mut batch.actions[envs.start * width..envs.end * width];
+        mask_rows(rows, &robots[usize::from(morphology.0)], width);
+    }
+}
+
+fn step(world: &World, whole: &mut dyn WholeSteps, batch: &mut Batch, known: &mut OnDevice) -> Result<(), DeviceError> {
     let (workers, sizes) = (world.resource::<Workers>(), world.resource::<BlockSizes>());
     let (morphologies, actions, observed) = (&world.resource::<Morphologies>().0, batch.num_actions, batch.num_obs);
     let blocks = || sizes.iter().filter(|(_, envs)| !envs.is_empty());
-    // actions for joints that a robot lacks become zero, as in `apply_actions`
     let mut rest = &mut batch.actions[..];
     let mut tasks = Vec::new();
     for ((morphology, envs), host) in blocks().zip(whole.hosts()) {
@@ -305,85 +499,38 @@ fn step(world: &World, whole: &mut dyn WholeSteps, batch: &mut Batch, known: &mu
         tasks.push((own, host, &morphologies[usize::from(morphology.0)]));
     }
     workers.for_each(tasks.into_iter(), |(own, host, robot)| {
-        if robot.slots.len() < actions {
-            let mask = robot.action_mask(actions);
-            for row in own.chunks_exact_mut(actions) {
-                row.iter_mut().zip(&mask).filter(|(_, is_there)| !**is_there).for_each(|(action, _)| *action = 0.0);
-            }
-        }
+        mask_rows(own, robot, actions);
         host.actions.copy_from_slice(own);
     });
-    let watched = world.resource::<BrokenStates>().watched();
-    let watched: Vec<bool> = blocks().map(|(morphology, _)| watched[usize::from(morphology.0)]).collect();
-    whole.step(&watched).map_err(|error| lost(&error))?;
-    known.steps += 1;
-    let Batch { observations, final_observations, rewards, terminated, truncated, has_final, .. } = batch;
-    let mut rest = (
-        (&mut observations[..], &mut final_observations[..], &mut rewards[..], &mut known.commands[..]),
-        (&mut terminated[..], &mut truncated[..], &mut has_final[..]),
-    );
+    let watched: Vec<bool> = watched_blocks(world).into_iter().map(|(_, _, watched)| watched).collect();
+    whole.step(&watched, None)?;
+    let Batch { observations, final_observations, rewards, .. } = batch;
+    let mut rest = (&mut observations[..], &mut final_observations[..], &mut rewards[..], &mut known.commands[..]);
+    let told = whole.told(0).into_iter().map(|told| told.flags.to_vec()).collect::<Vec<_>>();
     let mut parts = Vec::new();
-    for ((morphology, envs), host) in blocks().zip(whole.hosts()) {
-        let ((o, f, r, c), (x, y, z)) = rest;
-        let n = envs.len();
+    for (((_, envs), host), flags) in blocks().zip(whole.hosts()).zip(&told) {
+        let ((o, f, r, c), n) = (rest, envs.len());
         let ((o, oo), (f, ff), (r, rr), (c, cc)) =
             (o.split_at_mut(n * observed), f.split_at_mut(n * observed), r.split_at_mut(n), c.split_at_mut(3 * n));
-        let ((x, xx), (y, yy), (z, zz)) = (x.split_at_mut(n), y.split_at_mut(n), z.split_at_mut(n));
-        rest = ((oo, ff, rr, cc), (xx, yy, zz));
-        parts.push(Part {
-            morphology: usize::from(morphology.0),
-            first: envs.start,
-            host,
-            observations: o,
-            finals: f,
-            rewards: r,
-            commands: c,
-            flags: [x, y, z],
-            width: observed,
-        });
+        rest = (oo, ff, rr, cc);
+        parts.push((Part { host, observations: o, finals: f, rewards: r, commands: c }, flags));
     }
-    let ended = std::sync::Mutex::new(Vec::new());
-    workers.for_each(parts.into_iter(), |part| {
-        let own = part.copy();
-        if !own.is_empty() {
-            ended.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend(own);
-        }
-    });
-    let mut ended = ended.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-    ended.sort_by_key(|(_, env, _)| *env);
-    let mut broken = Vec::new();
-    for (block, ((morphology, _), watched)) in blocks().zip(watched).enumerate() {
-        let first = whole.hosts()[block].flags.iter().position(|flags| flags & flags::BROKEN != 0);
-        if let Some(robot) = first.filter(|_| watched) {
-            let (record, length) = whole.record(block, robot).map_err(|error| lost(&error))?;
-            broken.push((DivergenceRecord { morphology: usize::from(morphology.0), ..record }, length));
-        }
-    }
-    Ok((ended, broken))
+    workers.for_each(parts.into_iter(), |(part, flags)| part.copy(flags, observed));
+    Ok(())
 }
 
 impl Part<'_, '_> {
-    /// Copies the outcome of a control step; returns the episodes that the logs count.
-    fn copy(self) -> Vec<(usize, usize, Ended)> {
-        let Self { morphology, first, host, observations, finals, rewards, commands, flags: outcome, width } = self;
+    /// Copies the outcome of a control step.
+    fn copy(self, flags: &[u32], width: usize) {
+        let Self { host, observations, finals, rewards, commands } = self;
         observations.copy_from_slice(host.observations);
         rewards.copy_from_slice(host.rewards);
         commands.copy_from_slice(host.commands);
-        let [terminated, truncated, has_final] = outcome;
-        let mut ended = Vec::new();
-        for (env, flags) in host.flags.iter().enumerate() {
-            terminated[env] = flags & flags::TERMINATED != 0;
-            truncated[env] = flags & flags::TRUNCATED != 0;
-            has_final[env] = flags & flags::HAS_FINAL != 0;
-            if has_final[env] {
-                let row = env * width..(env + 1) * width;
-                finals[row.clone()].copy_from_slice(&host.finals[row]);
-            }
-            if flags & flags::LOGGED != 0 {
-                ended.push((morphology, first + env, host.ended(env)));
-            }
+        let rows = flags.iter().enumerate().filter(|(_, flags)| **flags & flags::HAS_FINAL != 0);
+        for (env, _) in rows {
+            let row = env * width..(env + 1) * width;
+            finals[row.clone()].copy_from_slice(&host.finals[row]);
         }
-        ended
     }
 }
 

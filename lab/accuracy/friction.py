@@ -74,8 +74,8 @@ class Slope:
     dt: float
     """Physics step, s."""
     acceleration: float
-    """From the distance covered, polypod's, m/s^2; 0 where the formula says that the block
-    holds."""
+    """polypod's acceleration from the distance covered, m/s^2; 0 where the formula says that the
+    block holds."""
     formula: float
     """Acceleration by the formula, m/s^2."""
     mujoco: float

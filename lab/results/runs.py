@@ -48,9 +48,9 @@ class Run:
     name: str
     manifest: dict[str, Any] | None
     evaluations: dict[str, Evaluation]
-    """By the name of the file, without its ending."""
+    """Evaluations by the name of the file, without its ending."""
     curves: dict[str, Curve]
-    """By TensorBoard's tag."""
+    """Curves by TensorBoard's tag."""
     minutes: float
     """Wall-clock time between the first and the last record of the curves; NaN without curves."""
 
@@ -90,7 +90,7 @@ class Results:
     """A folder's content."""
 
     runs: list[Run]
-    """In the order of their groups' names and their own."""
+    """Runs in the order of their groups' names and their own."""
     sim2sim: list[dict[str, Any]]
     skipped: list[Path]
     """JSON files of another kind, relative to the folder."""

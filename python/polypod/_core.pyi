@@ -363,7 +363,7 @@ class Learner:
         """
 
 class VecSim:
-    """Many independent envs, one robot each, stepped together on the CPU.
+    """Many independent envs, one robot each, stepped together.
 
     Envs of one robot are contiguous: robot r of R gets floor(num_envs / R) envs, the first
     (num_envs mod R) robots one more. An env's trajectory depends on the seed, its robot, its place
@@ -1050,6 +1050,44 @@ class VecSim:
         None if nothing is in the way, see `stay_on_device`.
         """
 
+    @property
+    def choice_of_engine(self) -> str | None:
+        """Choice of the engine `auto` between the CPU and the card, with the times of both.
+
+        None with another engine, and while both are being timed.
+        """
+
+    def device_arrays(self) -> dict[str, DeviceArray] | None:
+        """The arrays of all envs in the card's memory, for `step_device`, without a copy.
+
+        `actions` [num_envs, num_actions], which the next step reads; what it leaves: `observation`
+        [num_envs, n], the columns of all groups as `observation_groups` has them, `final_obs` with
+        the same columns, `reward`, `terminated` and `truncated` [num_envs], `command` [num_envs,
+        3]. They stay where they are, and each step overwrites them.
+
+        None where the card does not make whole control steps: `lacks_on_device` says why. The state
+        of all envs goes to the card.
+
+        Raises ConfigError where the card fails.
+        """
+
+    def step_device(self, stream: int = 0) -> None:
+        """Begins a control step with the actions in `device_arrays`, and does not wait for it.
+
+        The step follows the work that the CUDA stream has by now, and precedes what it gets later:
+        with torch's `current_stream().cuda_stream` kernels before the call may write the actions,
+        and kernels after it may read the outcome. `observation`, `reward` and the other arrays of
+        NumPy, states and snapshots wait for the steps when they are read; `log` counts all of them.
+        Where the host has to take part, for example for forces of `apply_force`, it does.
+
+        Args:
+            stream: handle of a CUDA stream of this process; 0: the default stream.
+
+        Raises:
+            ConfigError: where there are no arrays; as `step`, where actions that are refused raise
+                it some steps later: their env's episode is over then.
+        """
+
     def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:
         """Sets the directory of dumps: one file for the first broken state of each robot.
 
@@ -1078,6 +1116,38 @@ class VecSim:
 
         Raises ConfigError for any other bytes, and for an env that they do not hold.
         """
+
+class DeviceArray:
+    """An array in the memory of a card, row-major, see `VecSim.device_arrays`.
+
+    `torch.from_dlpack`, `jax.dlpack.from_dlpack` and `cupy.from_dlpack` share its memory, and so
+    does what knows the CUDA array interface, such as `torch.as_tensor`. The memory is freed when
+    nobody holds it any more.
+    """
+
+    @property
+    def shape(self) -> list[int]:
+        """Sizes."""
+
+    @property
+    def dtype(self) -> str:
+        """float32 or bool."""
+
+    @property
+    def address(self) -> int:
+        """Address of the first number in the card's memory."""
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]: ...
+    def __dlpack_device__(self) -> tuple[int, int]: ...
+    def __dlpack__(
+        self,
+        *,
+        stream: int | None = None,
+        max_version: tuple[int, int] | None = None,
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any: ...
 
 class Simulation:
     """Physics without a task: robots of one kind, any tree of links of a URDF, one per env.

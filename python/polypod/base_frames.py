@@ -127,7 +127,7 @@ class _Axes:
     lateral: int
     """The axis to the left."""
     limbs: Array
-    """From the first joint of each limb off the middle plane to its end, m."""
+    """Distance from the first joint of each limb off the middle plane to its end, m."""
     lengths: Array
     """Lengths of the same limbs, over all joints, m."""
 

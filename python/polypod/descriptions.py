@@ -28,7 +28,7 @@ from polypod.arrays import Array
 from polypod.observation import placed, terms_of
 
 TASK = "velocity_flat_any_legged"
-"""Its observation describes every joint of any body."""
+"""Task whose observation describes every joint of any body."""
 TERM = "joint_descriptors"
 DESCRIPTORS = (
     *(f"position {axis}" for axis in "xyz"),
@@ -60,7 +60,7 @@ class Distance:
     """How far a body is from the nearest training body."""
 
     distance: float
-    """In deviations."""
+    """Distance in deviations of the training's joints."""
     nearest: str
     """Name of the training body."""
     joint: str

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 MOST_PARTS = 40
 """Checkpoints of a film of a training."""
 PUSH_EVERY = 1.6
-"""Between two pushes, s."""
+"""Time between two pushes, s."""
 PUSH_SHOWN = 0.4
 """So long the arrow of a push is seen, s."""
 _MODEL = re.compile(r"model_(\d+)\.pt")

@@ -26,7 +26,7 @@ except ModuleNotFoundError as error:
     raise missing(error, "polypod.rllib", "learners") from error
 
 NAME = "polypod"
-"""Under which the env is registered by default."""
+"""Name under which the env is registered by default."""
 VECTORIZE_MODE = "vector_entry_point"
 """RLlib's mode for envs that are batches already."""
 

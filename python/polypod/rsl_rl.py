@@ -3,7 +3,8 @@
 >>> import polypod, polypod.rsl_rl
 >>> env = polypod.rsl_rl.VecEnv(polypod.make("Velocity-Flat-HeteroQuadruped-v0", num_envs=4096), device="cpu")
 
-The simulator runs on the CPU. With a CUDA device, observations, rewards and flags cross over
+Where the simulator makes whole control steps on the learner's card, all of a step stays there. Else
+the simulator's arrays are the CPU's; with a CUDA device, observations, rewards and flags cross over
 through pinned memory.
 """
 
@@ -88,6 +89,50 @@ class VecEnv(rsl_rl.env.VecEnv):
         mask = torch.from_numpy(self._sim.action_mask.astype(np.float32)).to(self.device)
         self._mask = mask if self._sim.is_padded else None
         self._other_groups = [group for group in self._sim.observation_groups if group != "policy"]
+        self._card = self._find_card()
+
+    def _find_card(self) -> dict[str, torch.Tensor] | None:
+        """The simulator's arrays, where they are on the learner's card and no Python takes part."""
+        if self.device.type != "cuda" or type(self._source) is not VecSim:
+            return None
+        arrays = self._source.device_arrays()
+        index = torch.cuda.current_device() if self.device.index is None else self.device.index
+        if arrays is None or arrays["actions"].__dlpack_device__()[1] != index:
+            return None
+        return {name: torch.as_tensor(array, device=self.device) for name, array in arrays.items()}
+
+    @property
+    def clip_actions(self) -> float | None:
+        """Greatest magnitude of the actions that the robots act with; None: no limit."""
+        return self._clip_actions
+
+    @property
+    def card(self) -> Mapping[str, torch.Tensor] | None:
+        """The simulator's arrays on the learner's card, which `step_on_card` reads and writes.
+
+        See `VecSim.device_arrays`. None: the simulator's steps are not made there.
+        """
+        return self._card
+
+    @property
+    def has_state_on_card(self) -> bool:
+        """Whether `card` has the current observations; brings the state there if it can go."""
+        return self._card is not None and self._sim.device_arrays() is not None
+
+    def step_on_card(self) -> None:
+        """Begins a control step with the actions that `card` has, and does not wait for it.
+
+        torch's current stream orders it: what it gets later finds the outcome in `card`.
+        """
+        self._sim.step_device(torch.cuda.current_stream(self.device).cuda_stream)
+
+    def observed_on_card(self) -> dict[str, torch.Tensor]:
+        """The current observations by group, float32 [num_envs, n]: views of `card`."""
+        assert self._card is not None
+        columns = self._sim.observation_groups
+        return {
+            group: self._card["observation"][:, slice(*columns[group])] for group in ("policy", *self._other_groups)
+        }
 
     @property
     def episode_length_buf(self) -> torch.Tensor:
@@ -116,9 +161,12 @@ class VecEnv(rsl_rl.env.VecEnv):
         num_actions]: 1 where an env's robot has a joint, else 0. The rollout stores it, and
         `polypod.networks.MaskedMLPModel` reads it.
         """
-        groups = {"policy": self._tensor("policy", self._source.observation)}
-        for group in self._other_groups:
-            groups[group] = self._tensor(group, self._sim.observation_of(group))
+        if self.has_state_on_card:
+            groups = {group: rows.clone() for group, rows in self.observed_on_card().items()}
+        else:
+            groups = {"policy": self._tensor("policy", self._source.observation)}
+            for group in self._other_groups:
+                groups[group] = self._tensor(group, self._sim.observation_of(group))
         if self._mask is not None:
             groups["action_mask"] = self._mask
         return TensorDict(groups, batch_size=[self.num_envs], device=self.device)
@@ -145,6 +193,8 @@ class VecEnv(rsl_rl.env.VecEnv):
         if actions.shape != self._actions.shape:
             raise ValueError(f"actions have shape {tuple(actions.shape)}, expected {tuple(self._actions.shape)}")
         # a policy that is asked outside of inference mode gives tensors with gradients
+        if self._card is not None:
+            return self._step_with(self._card, actions.detach())
         self._actions.copy_(actions.detach())
         rewards, dones, time_outs = self.step_on_host(self._actions)
         extras: dict[str, Any] = {"time_outs": self._tensor("time_outs", time_outs.astype(np.float32))}
@@ -156,6 +206,20 @@ class VecEnv(rsl_rl.env.VecEnv):
             self._tensor("done", dones.astype(np.int64)),
             extras,
         )
+
+    def _step_with(
+        self, card: dict[str, torch.Tensor], actions: torch.Tensor
+    ) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
+        """`step` on the learner's card."""
+        limit = self._clip_actions
+        card["actions"].copy_(actions if limit is None else actions.clamp(-limit, limit))
+        self.step_on_card()
+        terminated, truncated = card["terminated"], card["truncated"]
+        dones = terminated | truncated
+        extras: dict[str, Any] = {"time_outs": (truncated & ~terminated).float()}
+        if self._log_extras and bool(dones.any()):
+            extras["log"] = self.log()
+        return self.get_observations(), card["reward"].clone(), dones.long(), extras
 
     def step_on_host(self, actions: torch.Tensor) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Advances every env by one control step, and moves nothing to the learner's device.
@@ -200,6 +264,7 @@ class VecEnv(rsl_rl.env.VecEnv):
 
     def close(self) -> None:
         """Closes the wrapped env."""
+        self._card = None
         if self._copiers is not None:
             self._copiers.shutdown()
         self.unwrapped.close()

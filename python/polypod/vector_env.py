@@ -373,7 +373,7 @@ class VectorEnv(gymnasium.vector.VectorEnv[FloatArray, FloatArray, npt.NDArray[A
         return {"action_mask": self.action_mask} if self._is_padded else {}
 
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
-        """Per robot, over the episodes that ended since the statistics were last cleared.
+        """Returns statistics of each robot's episodes that ended since the last `clear`.
 
         Keys: episodes, falls, fall_rate, episode_length_s, error_vel_xy (m/s), error_vel_yaw
         (rad/s), command_xy, command_yaw (the same errors, had the robot stood still) and

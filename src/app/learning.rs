@@ -131,6 +131,7 @@ impl Sim {
         iteration: u64,
         clip_actions: Option<f32>,
     ) -> Result<Vec<Episode>, Error> {
+        self.fetch_batch()?;
         self.check_learner(learner)?;
         let limit = clip_actions.unwrap_or(f32::INFINITY);
         if limit.is_nan() || limit <= 0.0 {
@@ -205,6 +206,10 @@ impl Sim {
     }
 
     fn check_learner(&self, learner: &Learner) -> Result<(), Error> {
+        if self.is_batch_behind() {
+            let problem = "the batch is that of an earlier step, after steps that the host did not wait for";
+            return Err(Error::argument("learner", problem, "bring the batch up to date first: fetch_batch()"));
+        }
         let (batch, settings) = (self.batch(), learner.settings());
         let of = [learner.num_own_envs(), settings.num_obs, settings.num_actions];
         if of != [batch.num_envs, batch.num_obs, batch.num_actions] || settings.num_envs != self.share().num_envs {

@@ -96,7 +96,7 @@ impl Sim {
 
 /// Links that a caller asks for.
 struct Wanted {
-    /// Their numbers.
+    /// Numbers of the links.
     links: Vec<usize>,
     /// Turns from their axes in the model to those of the URDF.
     align: Vec<Mat3<f32>>,

@@ -106,6 +106,18 @@ impl Sim {
     /// [`MAX_ACTION`](crate::bounds::MAX_ACTION); the simulation is then as it was. Or a system
     /// failed: the sets of the pipeline after it have not run then.
     pub fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
+        self.check_external()?;
+        self.fetch_batch()?;
+        check_actions(&self.world, actions)?;
+        self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
+        self.step_where_the_state_is()?;
+        self.lacks_external = !self.task().external_terms().is_empty();
+        self.dump_broken_states();
+        Ok(())
+    }
+
+    /// Refuses steps without the numbers of terms that the caller computes.
+    fn check_external(&self) -> Result<(), Error> {
         if self.lacks_external {
             let terms = self.task().external_terms().join(", ");
             let problem = format!("the terms {terms} are computed by the simulation's caller, who gave no numbers");
@@ -113,11 +125,6 @@ impl Sim {
                           Sim::observe_external after each step and reset";
             return Err(Error::argument("observations", problem, remedy));
         }
-        check_actions(&self.world, actions)?;
-        self.world.resource_mut::<Batch>().actions.copy_from_slice(actions);
-        self.step_where_the_state_is()?;
-        self.lacks_external = !self.task().external_terms().is_empty();
-        self.dump_broken_states();
         Ok(())
     }
 
@@ -144,7 +151,7 @@ impl Sim {
         Ok(())
     }
 
-    /// The dense arrays of the last control step.
+    /// The dense arrays of the last control step, see [`step_device`](Self::step_device) too.
     pub fn batch(&self) -> &Batch {
         self.world.resource::<Batch>()
     }

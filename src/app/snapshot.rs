@@ -231,6 +231,7 @@ impl Sim {
     /// # Errors
     /// When they cannot be encoded.
     pub fn take_logs(&mut self) -> Result<Vec<u8>, Error> {
+        self.settle();
         let empty = Logs::new(self.world.resource::<CompiledTask>());
         let logs = self.world.get_resource_mut::<Logs>().map(|mut logs| std::mem::replace(&mut *logs, empty));
         postcard::to_stdvec(&logs).map_err(|error| Error::Snapshot(error.to_string()))

@@ -20,7 +20,7 @@ pub struct Outline {
 /// A contact body.
 #[derive(Clone, Debug, Serialize)]
 pub struct BodyOutline {
-    /// Its link in the URDF.
+    /// Name of the link in the URDF.
     pub name: String,
     /// Index in [`Outline::links`] of the link that carries it.
     pub link: usize,

@@ -299,7 +299,7 @@ impl MorphologyModel {
 pub(crate) struct ConfiguredRobot {
     pub(crate) model: Model,
     pub(crate) roles: Roles,
-    /// With the feet as sites, in the order of [`Roles::legs`].
+    /// Topology and numbers, with the feet as sites, in the order of [`Roles::legs`].
     pub(crate) articulation: Articulation,
     /// See [`MorphologyModel::networks`].
     pub(crate) networks: Vec<ActuatorNetwork>,
@@ -609,7 +609,7 @@ pub struct RobotDescription {
 pub struct NetworkDescription {
     /// Actuator group in the robot's config.
     pub group: String,
-    /// Its kind.
+    /// Model of the actuator.
     pub model: ActuatorModel,
     /// File as the config names it.
     pub file: PathBuf,
@@ -668,7 +668,7 @@ impl MorphologyModel {
         ActuatorNetwork::num_remembered_by(&self.networks)
     }
 
-    /// Its description.
+    /// Returns the description of the robot.
     pub fn describe(&self) -> RobotDescription {
         let p = &self.nominal;
         let effort_limit = (0..self.topology.num_joints()).map(|j| self.max_effort(j, p)).collect();

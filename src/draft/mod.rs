@@ -74,7 +74,7 @@ struct Findings<'a> {
     options: &'a DraftOptions,
     model: &'a Model,
     class: String,
-    /// In the order of the slots.
+    /// Drafted joints, in the order of the slots.
     joints: Vec<Drafted>,
     /// Leg, and contact body of its foot.
     feet: Vec<(&'static str, usize)>,

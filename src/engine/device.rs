@@ -1,6 +1,6 @@
 //! Tasks and envs as a device has them.
 
 pub(crate) use polypod_cuda::{
-    AutoresetForm, Column, Delay, DeviceError, Ended, EnvHost, Form, FormKind, ObservationForm, RewardForm, Slot,
-    TaskForm, TaskTables, Word, flags,
+    AutoresetForm, Column, Delay, Device, DeviceError, DeviceRows, Ended, EnvHost, Flow, Form, FormKind,
+    ObservationForm, RewardForm, RowSizes, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Word, flags,
 };

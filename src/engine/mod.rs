@@ -29,6 +29,7 @@ pub use cuda::{OnDevice, WholeSteps, describe_card, search_packages};
 pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};
+pub use polypod_cuda::{DeviceRows, RowSizes, RowsMemory, RowsOf};
 pub use registry::{EngineFactory, EngineSetup, Engines};
 pub use rows::RobotSlices;
 pub(crate) use rows::{Components, Contacts, RobotColumns, RobotRows, RowFamily, clear_drive};
@@ -202,10 +203,10 @@ impl<'a> MorphologySetup<'a, f32> {
 
 /// Engine, and the precision in which it computes.
 pub(crate) enum EngineChoice {
-    /// In single precision on an instruction set; robots stand on the terrain, or else on the plane
-    /// of the settings.
+    /// Articulated bodies in single precision on an instruction set. Robots stand on the terrain,
+    /// or else on the plane of the settings.
     Articulated(Simd, Option<Arc<HeightGrid>>),
-    /// In double precision, one robot at a time.
+    /// Articulated bodies in double precision, one robot at a time.
     ArticulatedDouble,
     /// Avian with a number of substeps, and with the parts of obstacles on the plane of the
     /// settings.

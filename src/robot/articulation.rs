@@ -29,8 +29,8 @@ pub struct Site {
 pub struct Articulation {
     /// Topology that robots of the kind share.
     pub topology: Topology,
-    /// Their numbers: those of the URDF, no gains, no friction with the ground but that of the
-    /// surfaces.
+    /// Numbers of the body: those of the URDF, no gains, no friction with the ground but that of
+    /// the surfaces.
     pub parameters: Parameters<f64>,
     /// Turns a link's own axes into base-aligned ones, `[links]`.
     pub align: Vec<DMat3>,

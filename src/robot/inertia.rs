@@ -8,7 +8,7 @@ use super::pose::Pose;
 /// inequality: published figures are rounded.
 const TRIANGLE_TOLERANCE: f64 = 1e-6;
 
-/// Below this, relative to the largest principal moment, a moment counts as zero.
+/// Largest share of the largest principal moment at which a moment counts as zero.
 const RANK_TOLERANCE: f64 = 1e-9;
 
 /// Mass (kg), centre of mass (m) and inertia about it (kg m^2), in one frame.

@@ -23,7 +23,7 @@ pub enum Place {
     Left,
     /// The right leg of a biped, or a right arm.
     Right,
-    /// Between the base and other limbs: a waist, a spine.
+    /// A waist or spine, between the base and other limbs.
     Torso,
     /// A head with its neck.
     Head,
@@ -40,7 +40,7 @@ pub enum Side {
     Left,
     /// Negative y of the base.
     Right,
-    /// In the plane between left and right.
+    /// The plane between left and right.
     Middle,
 }
 

@@ -103,7 +103,7 @@ impl Tree {
         Ok(tree)
     }
 
-    /// With one parent per link, what the root does not reach runs in circles.
+    /// A link that the root does not reach. With one parent per link, such links run in circles.
     fn unreachable_link(&self) -> Option<usize> {
         let mut reached = vec![false; self.joints_below.len()];
         let mut stack = vec![self.root];

@@ -29,11 +29,11 @@ pub struct LoadOptions {
 /// Treatment of joints that mimic others, since coupled joints are not modelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Coupled {
-    /// They are refused unless they are locked.
+    /// Joints that mimic others are refused unless they are locked.
     #[default]
     Refused,
-    /// They are held where they are while the joints that they mimic are at rest, with a warning
-    /// each.
+    /// Joints that mimic others are held where they are while the others are at rest, with a
+    /// warning each.
     Held,
 }
 
@@ -45,8 +45,8 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Model, RobotError> {
     Ok(load_holding(path, options)?.0)
 }
 
-/// As [`load`], with the positions of the joints that are held because they mimic others
-/// ([`Coupled::Held`]), rad or m.
+/// Loads like [`load`] and returns the positions of the joints that are held because they mimic
+/// others ([`Coupled::Held`]), rad or m.
 pub(crate) fn load_holding(path: &Path, options: &LoadOptions) -> Result<(Model, BTreeMap<String, f64>), RobotError> {
     let read_error = |problem: String, remedy: &str| RobotError::Read(Diagnosis::new(path, "file", problem, remedy));
     let bytes = files::read(path).map_err(|error| {

@@ -71,7 +71,7 @@ pub struct GroundCollider;
 /// Marks the colliders of an obstacle.
 #[derive(Component, Clone, Copy, Debug)]
 pub struct ObstacleCollider {
-    /// Its place in the task's list.
+    /// Place of the obstacle in the task's list.
     pub index: usize,
     /// Radius about its position that holds the collider, m.
     reach: f32,

@@ -14,9 +14,9 @@ use crate::robot::{Model, symmetric};
 /// A link, by name or index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinkId<'a> {
-    /// Its name in the URDF.
+    /// Name of the link in the URDF.
     Name(&'a str),
-    /// Its place in [`Simulation::link_names`].
+    /// Place of the link in [`Simulation::link_names`].
     Index(usize),
 }
 
@@ -277,7 +277,7 @@ impl Simulation {
     }
 }
 
-/// From xx, yy, zz, xy, xz, yz.
+/// Symmetric matrix of xx, yy, zz, xy, xz, yz.
 fn matrix([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> DMat3 {
     DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz))
 }

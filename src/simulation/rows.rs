@@ -70,7 +70,7 @@ impl<'a> Rows<'a> {
         if values.len() == 1 { Ok(Self { values, width }) } else { Self::of_length(element, values, width, rows) }
     }
 
-    /// As [`of_joints`](Self::of_joints), without the single number.
+    /// Vectors of each env: like [`of_joints`](Self::of_joints), without the single number.
     pub(super) fn vectors(element: &'static str, values: &'a [f64], width: usize, rows: usize) -> Result<Self, Error> {
         let rows = Self::of_length(element, values, width, rows)?;
         check_finite(element, values, width)?;

@@ -48,7 +48,7 @@ struct Shared {
     job: CachePadded<RwLock<Option<&'static Job<'static>>>>,
     /// Number of helpers that read the job or work on it.
     inside: CachePadded<AtomicUsize>,
-    /// Whether each helper is awake, or on the way.
+    /// Whether each helper is awake or waking up.
     awake: CachePadded<Vec<AtomicBool>>,
     /// Payload of a helper's panic.
     panic: Mutex<Option<Box<dyn Any + Send>>>,

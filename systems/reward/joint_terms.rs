@@ -21,7 +21,7 @@ struct Joints {
     /// Patterns on canonical names, such as `*_KNEE`; `*` stands for any run of letters. Default:
     /// all joints.
     joints: Option<Vec<String>>,
-    /// Their mean in place of their sum.
+    /// Whether the mean over the joints is taken in place of the sum.
     #[serde(default)]
     mean: bool,
 }
@@ -42,7 +42,7 @@ struct StandStill {
     command_threshold: f32,
     /// Patterns on canonical names, such as `*_KNEE`. Default: all joints.
     joints: Option<Vec<String>>,
-    /// Their mean in place of their sum.
+    /// Whether the mean over the joints is taken in place of the sum.
     #[serde(default)]
     mean: bool,
 }

@@ -42,7 +42,7 @@ impl Kernel<f32> for FeetRows<'_> {
 }
 
 impl Feet {
-    /// Their heights above the ground, from where they are.
+    /// Measures the feet's heights above the ground, from where they are.
     #[inline(always)]
     pub(in crate::systems) fn measure(&mut self, ground: &Ground, origin: &EnvOrigin) {
         let Self { position, height, .. } = self;

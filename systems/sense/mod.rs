@@ -199,8 +199,8 @@ fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
     Ok(())
 }
 
-/// Measures again what follows from the robots' states alone: the feet's heights and the IMUs, as a
-/// control step leaves them.
+/// Measures the feet's heights and the IMUs again, as a control step leaves them. Both follow from
+/// the robots' states alone.
 pub(super) fn measure_states(world: &mut World) -> Result<(), Error> {
     faults::outcome::<(), ()>(world.run_system_cached(feet::measure_feet))?;
     measure_anew::<Imu>(world)

@@ -29,7 +29,7 @@ use crate::morphology::{BatchSlots, Morphologies, MorphologyModel};
 
 /// One term of a reward set.
 pub struct RewardTerm {
-    /// Its name in the reward set.
+    /// Name of the term in the reward set.
     pub name: String,
     /// Factor of its value.
     pub weight: f32,
@@ -59,7 +59,7 @@ impl RewardTerm {
         self.later.iter().rfind(|(from, _)| *from <= step).map_or(self.weight, |(_, weight)| *weight)
     }
 
-    /// Its unweighted value per second for a robot.
+    /// Unweighted value of the term per second for a robot.
     pub fn value(&self, robot: &RobotView) -> f32 {
         (self.value)(robot, Simd::Portable.dispatch())
     }
@@ -104,11 +104,11 @@ impl ObservationTerm {
 /// An observation group: consecutive terms, and consecutive numbers of a row of
 /// [`Batch::observations`](crate::batch::Batch).
 pub struct ObservationGroup {
-    /// Its name; the first one is [`POLICY_GROUP`](crate::config::POLICY_GROUP).
+    /// Name of the group; the first one is [`POLICY_GROUP`](crate::config::POLICY_GROUP).
     pub name: String,
-    /// Its terms, as indices.
+    /// Terms of the group, as indices.
     pub terms: Range<usize>,
-    /// Its numbers in a row.
+    /// Numbers of the group in a row.
     pub columns: Range<usize>,
 }
 

@@ -4,6 +4,7 @@ use super::super::view::RobotView;
 use super::compile::{CompiledTask, ILLEGAL_STATE, ObservationTerm};
 use super::registry::Registry;
 use super::spec::TermKind;
+use crate::bounds::MAX_ACTION;
 use crate::config::{EventMode, JointPositionMode};
 use crate::engine::device::{
     AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables,
@@ -99,6 +100,7 @@ impl CompiledTask {
             gravity: (ground.down, ground.free_fall()),
             limits: self.limits.of_quantities().map(|(_, limit)| limit),
             margin: reset.spawn_margin as f32,
+            max_action: MAX_ACTION,
             soft: reset.soft_limit_factor as f32,
             reset_ranges: [reset.base_velocity.range, reset.joint_position.range, reset.joint_velocity.range]
                 .map(single),

@@ -56,6 +56,8 @@ fn options_of_joints(slots: usize, symmetry: Symmetry) -> Options {
         scales: vec![1.0, 0.1, 0.5],
         descriptions: (3..22).map(columns).collect(),
         general: (0..12).collect(),
+        leg_heads: None,
+        legs: Vec::new(),
     };
     let mut options = options(symmetry);
     (options.actor.joints, options.critic.joints) = (Some(joints(20, 9)), Some(joints(8, 3)));

@@ -36,7 +36,12 @@ impl Device for Failing {
 
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
         let is_late = self.blocks.fetch_add(1, Ordering::Relaxed) % 2 == 1;
-        Ok(Box::new(FailingBlock { block: Host.allocate(shape)?, left: self.left.clone(), is_late, asked: false }))
+        Ok(Box::new(FailingBlock {
+            block: Host::default().allocate(shape)?,
+            left: self.left.clone(),
+            is_late,
+            asked: false,
+        }))
     }
 }
 
@@ -91,7 +96,7 @@ fn sim_on(
 }
 
 fn on_host(options: SimOptions) -> Sim {
-    sim_on(options, || Ok(Arc::new(Host))).unwrap()
+    sim_on(options, || Ok(Arc::new(Host::default()))).unwrap()
 }
 
 /// Both engines make the same steps, to the last bit of their snapshots, which hold the impulses of

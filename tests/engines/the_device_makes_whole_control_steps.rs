@@ -10,10 +10,10 @@ use bevy_app::App;
 use bevy_ecs::prelude::*;
 use polypod::components::{Body, EnvId, LinkForce, LinkForces};
 use polypod::dump::Dump;
-use polypod::engine::OnDevice;
+use polypod::engine::{DeviceRows, OnDevice, RowsOf};
 use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, add_engine};
 use polypod::{Autoreset, Sim, SimOptions};
-use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Exchange, Shape, TaskTables};
+use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Exchange, RowSizes, Shape, TaskTables, Told};
 use polypod_cuda_host::Host;
 
 use crate::common::{ROBOTS, busy, ended, size, step};
@@ -29,7 +29,7 @@ fn on(mut options: SimOptions, open: impl Fn() -> Result<Arc<dyn Device>, Device
 }
 
 fn on_host(options: SimOptions) -> Sim {
-    on(options, || Ok(Arc::new(Host)))
+    on(options, || Ok(Arc::new(Host::default())))
 }
 
 fn bits(numbers: &[f32]) -> Vec<u32> {
@@ -79,6 +79,175 @@ fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
     assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "{what}: a component differs");
     let alone = device.steps_on_device();
     assert!(alone >= steps as u64 * 8 / 10, "{what}: {alone} of {steps} steps");
+}
+
+/// The device, and the simulation on it, for steps that flow.
+fn flowing(options: SimOptions) -> (Host, Sim, DeviceRows) {
+    let host = Host::default();
+    let device = host.clone();
+    let mut sim = on(options, move || Ok(Arc::new(device.clone())));
+    let rows = sim.device_rows().unwrap().unwrap();
+    (host, sim, rows)
+}
+
+/// One control step whose actions are given on the device, and which the host does not wait for.
+fn flow(host: &Host, sim: &mut Sim, actions: &[f32]) {
+    host.write_rows(RowsOf::Given, actions).unwrap();
+    sim.step_device(0).unwrap();
+}
+
+#[test]
+fn that_flow_while_nobody_looks() {
+    let mut legged = SimOptions { seed: 3, threads: Some(1), ..SimOptions::new("velocity_flat_legged", 48) };
+    legged.overrides.push("sim.episode_length_s=0.8".into());
+    for options in [SimOptions { threads: Some(2), ..busy(&ROBOTS, 70) }, legged] {
+        let mut cpu = Sim::new(&options).unwrap();
+        let (host, mut device, rows) = flowing(options);
+        let (mut ended_in_all, sizes) = (0, rows.sizes);
+        assert_eq!([sizes.envs, sizes.observations], [cpu.num_envs(), cpu.batch().num_obs]);
+        for t in 0..120 {
+            step(&mut cpu, t);
+            flow(&host, &mut device, &cpu.batch().actions.clone());
+            ended_in_all += ended(&cpu);
+            // a learner on the device reads these
+            let batch = cpu.batch();
+            let read = |of: RowsOf| {
+                let mut numbers = vec![0.0; sizes.part(of).len()];
+                host.read_rows(of, &mut numbers).unwrap();
+                bits(&numbers)
+            };
+            assert_eq!(read(RowsOf::Observations), bits(&batch.observations), "step {t}");
+            assert_eq!(read(RowsOf::Rewards), bits(&batch.rewards), "step {t}");
+            assert_eq!(host.ends().unwrap(), [&batch.terminated[..], &batch.truncated].concat(), "step {t}");
+            match t % 40 {
+                // the logs know of all steps, without the batch
+                13 => {
+                    assert_eq!(cpu.take_log(), device.take_log(), "step {t}");
+                    assert!(device.is_batch_behind());
+                }
+                17 | 18 => {
+                    device.fetch_batch().unwrap();
+                    assert_same_batch(&cpu, &device, &format!("step {t}"));
+                }
+                // actions of the host and of the device take turns
+                25 => [&mut cpu, &mut device].into_iter().for_each(|sim| step(sim, t)),
+                // somebody looks at components, after which the device goes on
+                39 => assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "step {t}: a component differs"),
+                _ => {}
+            }
+        }
+        assert!(ended_in_all > 50, "{ended_in_all}");
+        assert_eq!(cpu.take_log(), device.take_log());
+        assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+        assert_eq!(device.steps_on_device(), 123);
+        assert_eq!(device.device_rows().unwrap().unwrap().numbers, rows.numbers, "arrays stay where they are");
+    }
+}
+
+/// A simulation whose engine is to find out what is fastest.
+fn undecided(mut options: SimOptions) -> Sim {
+    options.overrides.push("physics.engine=auto".into());
+    let mut app = App::empty();
+    app.insert_resource(options).add_plugins(PolypodPlugins);
+    add_engine(&mut app, "auto", OnDevice::if_faster(|| Ok(Arc::new(Host::default()))));
+    let mut sim = Sim::from_app(app).unwrap();
+    sim.stay_on_device(true);
+    sim
+}
+
+#[test]
+fn that_are_timed_where_nobody_knows_what_is_fastest() {
+    let options = SimOptions { threads: Some(1), ..busy(&["unitree_a1", "spot"], 64) };
+    let (mut cpu, mut either) = (Sim::new(&options).unwrap(), undecided(options.clone()));
+    assert_eq!(either.lacks_on_device(), None);
+    for t in 0..120 {
+        step(&mut cpu, t);
+        step(&mut either, t);
+        assert_same_batch(&cpu, &either, &format!("step {t}"));
+        // twenty on the CPU, then twenty on the device, which the host stands for and is no faster
+        let on_device = u64::try_from(t).unwrap().saturating_sub(19).min(20);
+        assert_eq!(either.steps_on_device(), on_device, "step {t}");
+    }
+    assert!(cpu.snapshot().unwrap() == either.snapshot().unwrap());
+    // a caller who wants arrays on the device gets them if it is faster, and the state as it was
+    let (cpu, mut either) = (Sim::new(&options).unwrap(), undecided(options.clone()));
+    assert!(either.device_rows().unwrap().is_none());
+    assert_same_batch(&cpu, &either, "the first step");
+    assert_eq!(either.steps_on_device(), 0);
+    let mut cpu = cpu;
+    for t in 0..30 {
+        step(&mut cpu, t);
+        step(&mut either, t);
+    }
+    assert_eq!(either.steps_on_device(), 0, "it is known by now");
+    assert!(cpu.snapshot().unwrap() == either.snapshot().unwrap());
+    // one thing without a form on the device is known before any step
+    let rough = SimOptions { threads: Some(1), ..SimOptions::new("velocity_rough", 24) };
+    let mut either = undecided(rough);
+    for t in 0..50 {
+        step(&mut either, t);
+    }
+    assert_eq!(either.steps_on_device(), 0);
+}
+
+#[test]
+fn that_flow_with_the_host_where_the_device_cannot() {
+    let options = busy(&["unitree_a1"], 34);
+    let mut cpu = Sim::new(&options).unwrap();
+    let (host, mut device, _) = flowing(options);
+    for t in 0..40 {
+        if t == 12 {
+            // forces of a caller are the host's
+            let force = LinkForce {
+                link: 3,
+                in_world: true,
+                point: [0.01, 0.0, -0.05],
+                force: [8.0, -3.0, 5.0],
+                torque: [0.1, 0.2, -0.3],
+                steps: 9,
+            };
+            for sim in [&mut cpu, &mut device] {
+                let world = sim.world_mut();
+                world.query::<&mut LinkForces>().iter_mut(world).for_each(|mut forces| forces.0 = vec![force]);
+            }
+        }
+        step(&mut cpu, t);
+        flow(&host, &mut device, &cpu.batch().actions.clone());
+        let mut numbers = vec![0.0; cpu.batch().observations.len()];
+        host.read_rows(RowsOf::Observations, &mut numbers).unwrap();
+        assert_eq!(bits(&numbers), bits(&cpu.batch().observations), "step {t}");
+    }
+    assert_eq!(device.steps_on_device(), 31);
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+}
+
+#[test]
+fn that_flow_and_refuse_actions_that_are_no_numbers() {
+    let (host, mut device, rows) = flowing(busy(&["unitree_a1"], 20));
+    let mut actions = vec![0.0; rows.sizes.part(RowsOf::Given).len()];
+    flow(&host, &mut device, &actions);
+    actions[7 * rows.sizes.actions + 3] = f32::NAN;
+    flow(&host, &mut device, &actions);
+    let error = device.fetch_batch().unwrap_err().to_string();
+    assert!(error.contains("an action of env 7 was not a number within 1000000"), "{error}");
+    // once; the simulation goes on
+    device.fetch_batch().unwrap();
+    actions.fill(0.0);
+    flow(&host, &mut device, &actions);
+    device.fetch_batch().unwrap();
+    // without anybody who looks the error comes with a later step
+    actions[19 * rows.sizes.actions] = 1e7;
+    flow(&host, &mut device, &actions);
+    let mut told = 0;
+    for _ in 0..6 {
+        actions.fill(0.0);
+        host.write_rows(RowsOf::Given, &actions).unwrap();
+        told += usize::from(device.step_device(0).is_err());
+    }
+    assert_eq!(told, 1);
+    // without arrays on the device there is nothing to step
+    let error = Sim::new(&busy(&["unitree_a1"], 20)).unwrap().step_device(0).unwrap_err().to_string();
+    assert!(error.contains("there are no arrays on a device"), "{error}");
 }
 
 #[test]
@@ -268,7 +437,7 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
     let mut app = App::empty();
     let options = SimOptions { overrides: vec!["physics.engine=cuda".into()], ..SimOptions::new("velocity_flat", 16) };
     app.insert_resource(options).add_plugins(PolypodPlugins);
-    add_engine(&mut app, "cuda", OnDevice::new(|| Ok(Arc::new(Host))));
+    add_engine(&mut app, "cuda", OnDevice::new(|| Ok(Arc::new(Host::default()))));
     app.add_systems(ControlStep, (|| {}).in_set(PipelineSet::Reward));
     let mut sim = Sim::from_app(app).unwrap();
     assert_eq!(sim.lacks_on_device().as_deref(), Some("systems of a plugin"));
@@ -286,6 +455,7 @@ fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
     // a speed that robots reach
     let limits = ["terminations.illegal_state.max_lin_vel=1.2", "events.push_robot.velocity_range=[-0.9, 0.9]"];
     options.overrides.extend(limits.map(String::from));
+    let (of_cpu, of_flow) = (options.clone(), options.clone());
     let mut cpu = Sim::new(&SimOptions { dump_dir: Some(on_cpu.clone()), ..options.clone() }).unwrap();
     let mut device = on_host(SimOptions { dump_dir: Some(on_device.clone()), ..options });
     for t in 0..40 {
@@ -303,10 +473,20 @@ fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
     assert_eq!(expected.len(), 2);
     assert_eq!(expected, found);
     assert_eq!(device.steps_on_device(), 38);
+    // and where the steps flow, though the host reads of them later
+    let flowed = dir("flowed");
+    let (host, mut device, _) = flowing(SimOptions { dump_dir: Some(flowed.clone()), ..of_flow });
+    let mut cpu = Sim::new(&of_cpu).unwrap();
+    for t in 0..40 {
+        step(&mut cpu, t);
+        flow(&host, &mut device, &cpu.batch().actions.clone());
+    }
+    device.fetch_batch().unwrap();
+    assert_eq!(expected, states(&flowed));
 }
 
 /// A host that is lost after some control steps.
-struct Lost(Arc<AtomicUsize>);
+struct Lost(Host, Arc<AtomicUsize>);
 
 struct LostBlock(Box<dyn DeviceBlock>, Arc<AtomicUsize>);
 
@@ -316,7 +496,27 @@ impl Device for Lost {
     }
 
     fn allocate(&self, shape: Shape) -> Result<Box<dyn DeviceBlock>, DeviceError> {
-        Ok(Box::new(LostBlock(Host.allocate(shape)?, self.0.clone())))
+        Ok(Box::new(LostBlock(self.0.allocate(shape)?, self.1.clone())))
+    }
+
+    fn place_rows(&self, sizes: RowSizes) -> Result<(), DeviceError> {
+        self.0.place_rows(sizes)
+    }
+
+    fn rows(&self) -> Option<DeviceRows> {
+        self.0.rows()
+    }
+
+    fn read_rows(&self, of: RowsOf, to: &mut [f32]) -> Result<(), DeviceError> {
+        self.0.read_rows(of, to)
+    }
+
+    fn write_rows(&self, of: RowsOf, from: &[f32]) -> Result<(), DeviceError> {
+        self.0.write_rows(of, from)
+    }
+
+    fn write_ends(&self, ends: &[u8]) -> Result<(), DeviceError> {
+        self.0.write_ends(ends)
     }
 }
 
@@ -360,8 +560,12 @@ impl LostBlock {
 }
 
 impl EnvBlock for LostBlock {
-    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError> {
-        self.envs_of_host()?.place(task)
+    fn place(&mut self, task: TaskTables, first: usize) -> Result<(), DeviceError> {
+        self.envs_of_host()?.place(task, first)
+    }
+
+    fn told(&mut self, slot: usize) -> Option<Told<'_>> {
+        self.0.envs()?.told(slot)
     }
 
     fn host(&mut self) -> Option<EnvHost<'_>> {
@@ -372,7 +576,7 @@ impl EnvBlock for LostBlock {
         self.envs_of_host()?.watch(watched)
     }
 
-    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError> {
+    fn kept(&mut self, robot: usize) -> Result<Option<Vec<f32>>, DeviceError> {
         self.envs_of_host()?.kept(robot)
     }
 
@@ -384,16 +588,16 @@ impl EnvBlock for LostBlock {
         self.envs_of_host()?.download()
     }
 
-    fn start(&mut self) -> Result<(), DeviceError> {
+    fn start(&mut self, slot: Option<usize>) -> Result<(), DeviceError> {
         let _ = self.1.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
-        self.envs_of_host()?.start()
+        self.envs_of_host()?.start(slot)
     }
 }
 
 #[test]
 fn a_card_that_is_lost_with_the_state_is_an_error_in_each_step() {
     let device = Arc::new(AtomicUsize::new(6));
-    let mut sim = on(busy(&["unitree_a1"], 20), move || Ok(Arc::new(Lost(device.clone()))));
+    let mut sim = on(busy(&["unitree_a1"], 20), move || Ok(Arc::new(Lost(Host::default(), device.clone()))));
     let saved = sim.snapshot().unwrap();
     // two steps on the host, and five on the card
     for t in 0..7 {
@@ -410,6 +614,27 @@ fn a_card_that_is_lost_with_the_state_is_an_error_in_each_step() {
         let error = sim.step(&actions).unwrap_err().to_string();
         assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
     }
+    sim.restore(&saved).unwrap();
+    sim.step(&actions).unwrap();
+}
+
+#[test]
+fn a_card_that_is_lost_while_steps_flow_is_an_error_too() {
+    let (host, left) = (Host::default(), Arc::new(AtomicUsize::new(6)));
+    let device = (host.clone(), left);
+    let mut sim = on(busy(&["unitree_a1"], 20), move || Ok(Arc::new(Lost(device.0.clone(), device.1.clone()))));
+    let saved = sim.snapshot().unwrap();
+    let rows = sim.device_rows().unwrap().unwrap();
+    let actions = vec![0.0; rows.sizes.part(RowsOf::Given).len()];
+    for _ in 0..5 {
+        flow(&host, &mut sim, &actions);
+    }
+    for _ in 0..2 {
+        let error = sim.step_device(0).unwrap_err().to_string();
+        assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
+    }
+    let error = sim.device_rows().unwrap_err().to_string();
+    assert!(error.contains("the card failed in the middle of a simulation"), "{error}");
     sim.restore(&saved).unwrap();
     sim.step(&actions).unwrap();
 }

@@ -29,4 +29,34 @@ typedef struct {
 
 /* Where the columns of a robot begin: in its tile, at its place. */
 FN size_t place(int e, int size) { return (size_t)(e / TILE) * TILE * size + e % TILE; }
+
+/* Numbers of the present physics step that a thread keeps, see Robot. */
+typedef struct {
+    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6];
+} Present;
+
+/* Robot `e` of a block, as one of its threads has it. The pointers are not `restrict`: other threads of
+ * the robot write the same memory between two meetings. */
+FN void bind_robot(Robot *a, const Block *block, int e, int lane, Present *present) {
+    a->lane = lane;
+    a->base_rotation = present->base_rotation;
+    a->bias_base = present->bias_base;
+    a->velocity_base = present->velocity_base;
+    a->g = present->g;
+    a->root = present->root;
+    a->y = present->y;
+    a->moved = present->moved;
+    a->t = block->integers;
+    a->c = block->numbers;
+    a->p = block->own ? block->parameters + place(e, T(SIZE_PARAMETERS)) : block->common;
+    a->common = block->common;
+    a->own = block->own;
+    a->d = block->drive + (size_t)e * T(SIZE_DRIVE);
+    a->row = block->state + (size_t)e * (T(SIZE_STATE) + LISTED_SIZE * block->capacity);
+    a->r = block->report + (size_t)e * T(SIZE_REPORT);
+    a->grid = block->grid;
+    a->w = block->work + place(e, T(SIZE_WORK));
+    a->s = a->w + (size_t)T(W_STATE) * TILE;
+    a->wi = block->work_integers + place(e, T(SIZE_WORK_INTEGERS));
+}
 #endif

@@ -9,16 +9,20 @@ typedef struct {
     const float *task_numbers;
     float *columns;            /* of the envs: [number][env] */
     unsigned *words;
-    float *actions;            /* rows: actions, observations, those of episodes that have ended */
+    float *actions;            /* rows on the device: actions, observations, those of episodes that have ended */
     float *observations;
     float *finals;
-    float *kept;               /* rows of robots that are watched; null if none is */
-    const float *host_actions; /* where the host has these rows, and what else it reads */
-    float *host_observations;
-    float *host_finals;
     float *rewards;
     float *commands;
-    unsigned *flags;
+    unsigned char *terminated; /* how episodes have ended in the control step */
+    unsigned char *truncated;
+    float *kept;               /* rows of robots that are watched; null if none is */
+    const float *given;        /* where the actions come from */
+    float *host_observations;  /* where the host has these rows; null if it does not wait for the step */
+    float *host_finals;
+    float *host_rewards;
+    float *host_commands;
+    unsigned *flags;           /* what the host is told of each control step */
     unsigned *ended;           /* rows of episodes that have ended */
     int ended_size;
     int warp; /* the first warp of the block's envs */
@@ -26,30 +30,11 @@ typedef struct {
 
 FN void step_env(const EnvBlock *envs, int e, int after) {
     const Block *block = &envs->block;
-    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6];
+    Present present;
     Robot robot, *a = &robot;
     Env env, *v = &env;
-    a->lane = 0;
-    a->base_rotation = base_rotation;
-    a->bias_base = bias_base;
-    a->velocity_base = velocity_base;
-    a->g = g;
-    a->root = root;
-    a->y = y;
-    a->moved = moved;
-    a->t = block->integers;
-    a->c = block->numbers;
-    a->p = block->own ? block->parameters + place(e, T(SIZE_PARAMETERS)) : block->common;
-    a->common = block->common;
-    a->own = block->own;
-    a->row = block->state + (size_t)e * (T(SIZE_STATE) + LISTED_SIZE * block->capacity);
-    a->r = block->report + (size_t)e * T(SIZE_REPORT);
-    a->grid = block->grid;
-    a->w = block->work + place(e, T(SIZE_WORK));
-    a->s = a->w + (size_t)T(W_STATE) * TILE;
-    a->wi = block->work_integers + place(e, T(SIZE_WORK_INTEGERS));
+    bind_robot(a, block, e, 0, &present);
     v->drive = block->drive + (size_t)e * T(SIZE_DRIVE);
-    a->d = v->drive;
     v->a = a;
     v->k = envs->task;
     v->f = envs->task_numbers;
@@ -60,18 +45,25 @@ FN void step_env(const EnvBlock *envs, int e, int after) {
     v->observation = envs->observations + (size_t)e * K(K_OBSERVED);
     v->final = envs->finals + (size_t)e * K(K_OBSERVED);
     v->row = T(SIZE_STATE) + LISTED_SIZE * block->capacity;
-    v->kept = envs->kept ? envs->kept + (size_t)e * (2 * size_of_kept(v) + 1) : envs->kept;
+    v->kept = envs->kept ? envs->kept + (size_t)e * (2 * size_of_kept(v) + 2) : envs->kept;
     v->random = (Wide)U(U_STATE + 1) << 32 | U(U_STATE);
     v->increment = (Wide)U(U_INCREMENT + 1) << 32 | U(U_INCREMENT);
     v->flags = U(U_FLAGS);
     if (after) {
         unsigned flags = after_physics(v, e, envs->ended + (size_t)e * envs->ended_size);
+        if (!acts_within_bounds(v)) flags |= BAD_ACTION;
         envs->flags[e] = flags;
         envs->rewards[e] = v->total;
         for (int d = 0; d < 3; d++) envs->commands[3 * e + d] = X(K(X_COMMAND) + d);
-        if (flags & HAS_FINAL)
-            ROLLED for (int i = 0; i < K(K_OBSERVED); i++)
-                envs->host_finals[(size_t)e * K(K_OBSERVED) + i] = v->final[i];
+        envs->terminated[e] = (flags & TERMINATED) != 0;
+        envs->truncated[e] = (flags & TRUNCATED) != 0;
+        if (envs->host_observations) {
+            envs->host_rewards[e] = v->total;
+            for (int d = 0; d < 3; d++) envs->host_commands[3 * e + d] = X(K(X_COMMAND) + d);
+            if (flags & HAS_FINAL)
+                ROLLED for (int i = 0; i < K(K_OBSERVED); i++)
+                    envs->host_finals[(size_t)e * K(K_OBSERVED) + i] = v->final[i];
+        }
     } else {
         before_physics(v);
     }
@@ -80,13 +72,17 @@ FN void step_env(const EnvBlock *envs, int e, int after) {
     U(U_FLAGS) = v->flags;
 }
 
-#ifdef __CUDACC__
 /* Neighbouring threads copy neighbouring numbers. */
 FN void copy_numbers(float *to, const float *from, int count, int thread, int threads) {
-    _Pragma("unroll 8") for (int k = thread; k < count; k += threads) to[k] = from[k];
+#ifdef __CUDACC__
+    _Pragma("unroll 8")
+#endif
+    for (int k = thread; k < count; k += threads) to[k] = from[k];
 }
 
-/* Each warp takes 32 envs of a block: their actions from the host, and their observations there. */
+#ifdef __CUDACC__
+/* Each warp takes 32 envs of a block: their actions to where they are kept, and their observations to
+ * the host. */
 KERNEL void polypod_env_step(const EnvBlock *blocks, int count, int after) {
     int warp = (int)(blockIdx.x * (blockDim.x / WARP) + threadIdx.x / WARP), thread = (int)threadIdx.x % WARP, b = 0;
     while (b + 1 < count && blocks[b + 1].warp <= warp) b++;
@@ -98,16 +94,23 @@ KERNEL void polypod_env_step(const EnvBlock *blocks, int count, int after) {
     int actions = READ(envs.task + K_ACTIONS), observed = READ(envs.task + K_OBSERVED);
     size_t first_action = (size_t)begin * actions, first = (size_t)begin * observed;
     if (!after) {
-        copy_numbers(envs.actions + first_action, envs.host_actions + first_action, present * actions, thread, present);
+        copy_numbers(envs.actions + first_action, envs.given + first_action, present * actions, thread, present);
         __syncwarp(together);
     }
     step_env(&envs, begin + thread, after);
-    if (!after) return;
+    if (!after || !envs.host_observations) return;
     __syncwarp(together);
     copy_numbers(envs.host_observations + first, envs.observations + first, present * observed, thread, present);
 }
 #else
 void polypod_env_step(const EnvBlock *envs, int after) {
-    for (int e = 0; e < envs->block.robots; e++) step_env(envs, e, after);
+    int actions = READ(envs->task + K_ACTIONS), observed = READ(envs->task + K_OBSERVED);
+    for (int e = 0; e < envs->block.robots; e++) {
+        size_t first_action = (size_t)e * actions, first = (size_t)e * observed;
+        if (!after) copy_numbers(envs->actions + first_action, envs->given + first_action, actions, 0, 1);
+        step_env(envs, e, after);
+        if (after && envs->host_observations)
+            copy_numbers(envs->host_observations + first, envs->observations + first, observed, 0, 1);
+    }
 }
 #endif

@@ -754,12 +754,20 @@ FN int size_of_kept(const Env *v) {
     return T(SIZE_DRIVE) + v->row + T(SIZE_REPORT);
 }
 
+/* Whether rows of a broken state are there, which stay until the host has read them. */
+FN int has_kept(const Env *v) { return v->kept[2 * size_of_kept(v) + 1] > 0.0f; }
+FN int acts_within_bounds(const Env *v) {
+    int all = 1;
+    ROLLED for (int i = 0; i < K(K_ACTIONS); i++) all &= fabsf(v->action[i]) <= F(F_MAX_ACTION);
+    return all;
+}
+
 /* the sets before the physics, and those after it */
 FN void before_physics(Env *v) {
     act(v);
     update_command(v);
     disturb(v);
-    if (v->kept) keep_rows(v, v->kept);
+    if (v->kept && !has_kept(v)) keep_rows(v, v->kept);
 }
 /* Writes an episode that has ended, for the logs. */
 FN void write_ended(const Env *v, int env, unsigned *to) {
@@ -777,8 +785,11 @@ FN void write_ended(const Env *v, int env, unsigned *to) {
 FN unsigned after_physics(Env *v, int env, unsigned *ended) {
     unsigned broken = 0;
     if (v->kept && !is_allowed(v)) {
-        keep_rows(v, v->kept + size_of_kept(v));
-        v->kept[2 * size_of_kept(v)] = (float)U(U_LENGTH);
+        if (!has_kept(v)) {
+            keep_rows(v, v->kept + size_of_kept(v));
+            v->kept[2 * size_of_kept(v)] = (float)U(U_LENGTH);
+            v->kept[2 * size_of_kept(v) + 1] = 1.0f;
+        }
         broken = BROKEN;
     }
     read_imu(v);

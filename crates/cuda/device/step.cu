@@ -4,44 +4,11 @@
 #include "block.h"
 #include "step.h"
 
-/* The pointers are not `restrict`: other threads of the robot write the same memory between two
- * meetings. */
-FN void step_columns(const Block *block, int lane, const float *p, const float *d, float *row,
-                     float *s, float *r, float *w, int *wi) {
-    float base_rotation[9], bias_base[6], velocity_base[6], g[36], root[12], y[6], moved[6];
-    Robot robot, *a = &robot;
-    a->lane = lane;
-    a->base_rotation = base_rotation;
-    a->bias_base = bias_base;
-    a->velocity_base = velocity_base;
-    a->g = g;
-    a->root = root;
-    a->y = y;
-    a->moved = moved;
-    a->t = block->integers;
-    a->c = block->numbers;
-    a->p = p;
-    a->common = block->common;
-    a->own = block->own;
-    a->d = d;
-    a->row = row;
-    a->s = s;
-    a->r = r;
-    a->grid = block->grid;
-    a->w = w;
-    a->wi = wi;
-    control_step(a, block->first, block->end, block->capacity);
-}
-
 FN void step_robot(const Block *block, int e, int lane) {
-    Robot tables, *a = &tables;
-    a->t = block->integers;
-    float *work = block->work + place(e, T(SIZE_WORK));
-    step_columns(block, lane, block->own ? block->parameters + place(e, T(SIZE_PARAMETERS)) : block->common,
-                 block->drive + (size_t)e * T(SIZE_DRIVE),
-                 block->state + (size_t)e * (T(SIZE_STATE) + LISTED_SIZE * block->capacity),
-                 work + (size_t)T(W_STATE) * TILE, block->report + (size_t)e * T(SIZE_REPORT), work,
-                 block->work_integers + place(e, T(SIZE_WORK_INTEGERS)));
+    Present present;
+    Robot robot;
+    bind_robot(&robot, block, e, lane, &present);
+    control_step(&robot, block->first, block->end, block->capacity);
 }
 
 #ifdef __CUDACC__

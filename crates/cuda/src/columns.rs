@@ -74,9 +74,10 @@ impl Shape {
     }
 
     /// Numbers that are kept of a robot that is watched: its rows of drive, state and report before
-    /// the physics of a control step and after it, and the length of its episode.
+    /// the physics of a control step and after it, the length of its episode, and whether they are
+    /// those of a broken state, which stay.
     pub fn kept(&self) -> usize {
-        2 * self.of_one().exchanged() + 1
+        2 * self.of_one().exchanged() + 2
     }
 
     /// The shape of one robot.

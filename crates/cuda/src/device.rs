@@ -1,7 +1,7 @@
 //! Devices, as an engine sees them: memory for blocks of robots, and their steps.
 
 use crate::columns::{Exchange, Shape};
-use crate::envs::{EnvHost, TaskTables};
+use crate::envs::{DeviceRows, EnvHost, Flow, RowSizes, RowsOf, TaskTables, Told};
 use crate::tables::Unsupported;
 
 /// Why a device cannot be used, or no longer.
@@ -21,7 +21,7 @@ pub enum DeviceError {
     OldCard {
         /// Name of the card.
         name: String,
-        /// Its compute capability.
+        /// Compute capability of the card.
         capability: (i32, i32),
     },
     /// The compiler NVRTC is not there.
@@ -55,6 +55,11 @@ pub enum DeviceError {
 }
 
 impl DeviceError {
+    /// The error of a device that does not know envs.
+    pub fn no_envs() -> Self {
+        Self::Call { call: "envs", text: "the device makes no whole control steps".into() }
+    }
+
     /// Advice for the user.
     pub fn remedy(&self) -> &'static str {
         match self {
@@ -100,12 +105,67 @@ pub trait Device: Send + Sync {
         Ok(())
     }
 
-    /// Makes the whole control steps of all blocks that [`EnvBlock::start`] noted since the last
-    /// call, and waits for them.
+    /// Makes room for the arrays of all envs, which the blocks share. Arrays of these sizes stay
+    /// where they are.
+    ///
+    /// # Errors
+    /// Too little memory, or a device that is lost.
+    fn place_rows(&self, _sizes: RowSizes) -> Result<(), DeviceError> {
+        Err(DeviceError::no_envs())
+    }
+
+    /// The arrays of all envs; `None` before there are any.
+    fn rows(&self) -> Option<DeviceRows> {
+        None
+    }
+
+    /// Copies an array to the host, after the work of all control steps.
     ///
     /// # Errors
     /// A device that is lost.
-    fn step_envs(&self) -> Result<(), DeviceError> {
+    fn read_rows(&self, _of: RowsOf, _to: &mut [f32]) -> Result<(), DeviceError> {
+        Err(DeviceError::no_envs())
+    }
+
+    /// Copies an array from the host.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn write_rows(&self, _of: RowsOf, _from: &[f32]) -> Result<(), DeviceError> {
+        Err(DeviceError::no_envs())
+    }
+
+    /// Copies the flags of ended episodes from the host: whether they failed, then whether they ran
+    /// out of time.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn write_ends(&self, _ends: &[u8]) -> Result<(), DeviceError> {
+        Err(DeviceError::no_envs())
+    }
+
+    /// Waits for a caller's queue on the device, see [`Flow::stream`].
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn wait_for_caller(&self, _stream: u64) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    /// Makes the whole control steps of all blocks that [`EnvBlock::start`] noted since the last
+    /// call. Waits for them unless they flow.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn step_envs(&self, _flow: Option<Flow>) -> Result<(), DeviceError> {
+        Ok(())
+    }
+
+    /// Waits for the control step of a slot.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn wait(&self, _slot: usize) -> Result<(), DeviceError> {
         Ok(())
     }
 
@@ -161,14 +221,19 @@ pub trait DeviceBlock: Send + Sync {
 /// The robots of a block with their envs, whose whole control step the device makes: nothing of
 /// their state leaves it. An error means that the device is lost.
 pub trait EnvBlock {
-    /// Takes over a task. The block's lists must have room for all impulses.
+    /// Takes over a task; `first` is the row of the first env among all. The block's lists must
+    /// have room for all impulses.
     ///
     /// # Errors
     /// Too little memory, or a device that is lost.
-    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError>;
+    fn place(&mut self, task: TaskTables, first: usize) -> Result<(), DeviceError>;
 
     /// The host's side; `None` before there is a task.
     fn host(&mut self) -> Option<EnvHost<'_>>;
+
+    /// Flags and ended episodes of the control step of a slot, which has ended; `None` before there
+    /// is a task.
+    fn told(&mut self, slot: usize) -> Option<Told<'_>>;
 
     /// Whether the next control steps keep the rows of robots whose states break.
     ///
@@ -176,14 +241,14 @@ pub trait EnvBlock {
     /// Too little memory, or a device that is lost.
     fn watch(&mut self, watched: bool) -> Result<(), DeviceError>;
 
-    /// The rows of a robot that were kept in the last control step, see
-    /// [`Shape::kept`](crate::Shape::kept).
+    /// The rows of a robot that were kept, see [`Shape::kept`](crate::Shape::kept); `None` if it is
+    /// not watched.
     ///
     /// # Errors
     /// A device that is lost.
-    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError>;
+    fn kept(&mut self, robot: usize) -> Result<Option<Vec<f32>>, DeviceError>;
 
-    /// Copies the rows of drive, state and report, columns, words and observations to the device.
+    /// Copies the rows of drive, state and report, columns and words to the device.
     ///
     /// # Errors
     /// A device that is lost.
@@ -195,10 +260,10 @@ pub trait EnvBlock {
     /// A device that is lost.
     fn download(&mut self) -> Result<(), DeviceError>;
 
-    /// Notes a control step for the next [`Device::step_envs`], with the actions of the host's
-    /// side.
+    /// Notes a control step for the next [`Device::step_envs`]: with the actions of the host's
+    /// side, or of a slot with those that are given on the device.
     ///
     /// # Errors
     /// A device that is lost.
-    fn start(&mut self) -> Result<(), DeviceError>;
+    fn start(&mut self, slot: Option<usize>) -> Result<(), DeviceError>;
 }

@@ -15,7 +15,7 @@ use cudarc::driver::{
 
 use crate::columns::{Exchange, Shape};
 use crate::device::{Device, DeviceBlock, DeviceError, EnvBlock};
-use crate::envs::{EnvHost, EnvParts, TaskTables};
+use crate::envs::{DeviceRows, EnvHost, EnvParts, Flow, RowSizes, RowsMemory, RowsOf, SLOTS, TaskTables, Told};
 use crate::kernels::{Kernel, Kernels, Own, locked};
 use crate::nvrtc;
 
@@ -71,12 +71,16 @@ struct EnvArguments {
     actions: CUdeviceptr,
     observations: CUdeviceptr,
     finals: CUdeviceptr,
-    kept: CUdeviceptr,
-    host_actions: CUdeviceptr,
-    host_observations: CUdeviceptr,
-    host_finals: CUdeviceptr,
     rewards: CUdeviceptr,
     commands: CUdeviceptr,
+    terminated: CUdeviceptr,
+    truncated: CUdeviceptr,
+    kept: CUdeviceptr,
+    given: CUdeviceptr,
+    host_observations: CUdeviceptr,
+    host_finals: CUdeviceptr,
+    host_rewards: CUdeviceptr,
+    host_commands: CUdeviceptr,
     flags: CUdeviceptr,
     ended: CUdeviceptr,
     ended_size: c_int,
@@ -161,6 +165,10 @@ struct Queue {
     stream: Arc<CudaStream>,
     launch: Mutex<Launch>,
     env_launch: Mutex<EnvLaunch>,
+    /// Arrays of all envs.
+    rows: Mutex<Option<Arc<Rows>>>,
+    /// The caller's work before a control step that flows, and the end of the step of each slot.
+    flow: [CudaEvent; 1 + SLOTS],
     /// Streams of own kernels, which step side by side.
     others: Mutex<Vec<Arc<CudaStream>>>,
     /// Before and after a launch, where steps are measured.
@@ -179,9 +187,34 @@ struct Launch {
 #[derive(Default)]
 struct EnvLaunch {
     waiting: Vec<(Kernel, EnvArguments)>,
-    /// Arguments of the launches that run, which the card reads from the host's memory.
-    envs: Option<Pinned<EnvArguments>>,
-    robots: Option<Pinned<Arguments>>,
+    /// Arguments of the launches that run, by slots, which the card reads from the host's memory.
+    envs: [Option<Pinned<EnvArguments>>; SLOTS],
+    robots: [Option<Pinned<Arguments>>; SLOTS],
+}
+
+/// Arrays of all envs in the card's memory.
+struct Rows {
+    sizes: RowSizes,
+    numbers: CudaSlice<f32>,
+    /// Whether episodes failed, and whether they ran out of time.
+    ends: CudaSlice<u8>,
+    /// The stream of all steps.
+    stream: Arc<CudaStream>,
+}
+
+impl RowsMemory for Rows {
+    fn let_wait(&self, stream: u64) -> Result<(), DeviceError> {
+        let event = self.stream.record_event(None).map_err(call("cuEventRecord"))?;
+        wait_for_event(stream, &event)
+    }
+}
+
+/// Lets a caller's stream wait for an event.
+fn wait_for_event(stream: u64, event: &CudaEvent) -> Result<(), DeviceError> {
+    let flags = sys::CUevent_wait_flags::CU_EVENT_WAIT_DEFAULT;
+    event.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+    // SAFETY: the caller promises that the stream lives
+    unsafe { result::stream::wait_event(caller(stream), event.cu_event(), flags) }.map_err(call("cuStreamWaitEvent"))
 }
 
 impl Card {
@@ -197,10 +230,15 @@ impl Card {
         let event = || context.new_event(Some(CUevent_flags::CU_EVENT_DEFAULT)).map_err(call("cuEventCreate"));
         let events = if timed { Some([event()?, event()?]) } else { None };
         let stream = context.new_stream().map_err(call("cuStreamCreate"))?;
+        let mark = || context.new_event(Some(CUevent_flags::CU_EVENT_DISABLE_TIMING)).map_err(call("cuEventCreate"));
+        let marks = (0..=SLOTS).map(|_| mark()).collect::<Result<Vec<_>, _>>()?;
+        let flow = marks.try_into().map_err(|_| DeviceError::no_envs())?;
         let queue = Arc::new(Queue {
             stream,
             launch: Mutex::default(),
             env_launch: Mutex::default(),
+            rows: Mutex::default(),
+            flow,
             others: Mutex::default(),
             events,
         });
@@ -338,14 +376,22 @@ impl Queue {
             .map_err(call("cuLaunchKernel"))
     }
 
-    /// Makes the whole control steps of the blocks that wait, and waits for them.
-    fn step_envs(&self, function: &CudaFunction) -> Result<(), DeviceError> {
-        self.finish()?;
+    /// Makes the whole control steps of the blocks that wait, and waits for them unless they flow.
+    fn step_envs(&self, function: &CudaFunction, flow: Option<Flow>) -> Result<(), DeviceError> {
+        match flow {
+            // the card must not read arguments that are written
+            None => self.finish()?,
+            Some(Flow { slot, stream }) => {
+                self.wait(slot)?;
+                self.wait_for_caller(stream)?;
+            }
+        }
+        let slot = flow.map_or(0, |flow| flow.slot);
         let EnvLaunch { waiting, envs, robots } = &mut *locked(&self.env_launch);
         if waiting.is_empty() {
             return Ok(());
         }
-        let (mut written, mut warps) = (self.pinned(envs.take(), waiting.len())?, 0);
+        let (mut written, mut warps) = (self.pinned(envs[slot].take(), waiting.len())?, 0);
         for (to, (_, block)) in written.numbers().iter_mut().zip(&*waiting) {
             *to = EnvArguments { warp: whole(warps), ..*block };
             warps += usize::try_from(block.block.robots).unwrap_or(0).div_ceil(THREADS);
@@ -354,13 +400,39 @@ impl Queue {
         let blocks: Vec<_> = waiting.iter().map(|(kernel, env)| (kernel, env.block)).collect();
         self.note(0)?;
         self.launch_envs(function, all, false)?;
-        *robots = Some(self.launch_physics(robots.take(), &blocks, true)?);
+        robots[slot] = Some(self.launch_physics(robots[slot].take(), &blocks, true)?);
         self.launch_envs(function, all, true)?;
         self.note(1)?;
-        *envs = Some(written);
+        envs[slot] = Some(written);
         waiting.clear();
-        self.finish()
+        let Some(Flow { stream, .. }) = flow else { return self.finish() };
+        let ended = &self.flow[1 + slot];
+        ended.record(&self.stream).map_err(call("cuEventRecord"))?;
+        wait_for_event(stream, ended)
     }
+
+    /// Waits for the control step of a slot.
+    fn wait(&self, slot: usize) -> Result<(), DeviceError> {
+        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        self.flow[1 + slot].synchronize().map_err(call("cuEventSynchronize"))
+    }
+
+    /// Lets all further work wait for a caller's stream.
+    fn wait_for_caller(&self, stream: u64) -> Result<(), DeviceError> {
+        self.stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        // SAFETY: the caller promises that the stream lives
+        unsafe { result::event::record(self.flow[0].cu_event(), caller(stream)) }.map_err(call("cuEventRecord"))?;
+        self.stream.wait(&self.flow[0]).map_err(call("cuStreamWaitEvent"))
+    }
+
+    fn rows(&self) -> Result<Arc<Rows>, DeviceError> {
+        locked(&self.rows).clone().ok_or_else(DeviceError::no_envs)
+    }
+}
+
+/// A caller's stream.
+fn caller(stream: u64) -> sys::CUstream {
+    std::ptr::with_exposed_provenance_mut(usize::try_from(stream).unwrap_or(0))
 }
 
 /// Sizes are counted in integers of 32 bits, as `Tables` checks.
@@ -441,8 +513,75 @@ impl Device for Card {
         self.queue.launch()
     }
 
-    fn step_envs(&self) -> Result<(), DeviceError> {
-        self.queue.step_envs(&self.kernels.of_envs()?)
+    fn place_rows(&self, sizes: RowSizes) -> Result<(), DeviceError> {
+        let mut rows = locked(&self.queue.rows);
+        if rows.as_ref().is_some_and(|rows| rows.sizes == sizes) {
+            return Ok(());
+        }
+        let stream = &self.queue.stream;
+        let placed = Rows {
+            sizes,
+            numbers: stream.alloc_zeros(sizes.numbers().max(1)).map_err(call("cuMemAlloc"))?,
+            ends: stream.alloc_zeros(2 * sizes.envs.max(1)).map_err(call("cuMemAlloc"))?,
+            stream: stream.clone(),
+        };
+        *rows = Some(Arc::new(placed));
+        drop(rows);
+        self.queue.finish()
+    }
+
+    fn rows(&self) -> Option<DeviceRows> {
+        let rows = self.queue.rows().ok()?;
+        let stream = &self.queue.stream;
+        Some(DeviceRows {
+            sizes: rows.sizes,
+            card: Some(self.context.ordinal()),
+            numbers: rows.numbers.device_ptr(stream).0,
+            ends: rows.ends.device_ptr(stream).0,
+            memory: rows.clone(),
+        })
+    }
+
+    fn read_rows(&self, of: RowsOf, to: &mut [f32]) -> Result<(), DeviceError> {
+        let (rows, stream) = (self.queue.rows()?, &self.queue.stream);
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        stream.memcpy_dtoh(&rows.numbers.slice(rows.sizes.part(of)), to).map_err(call("cuMemcpyDtoH"))?;
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn write_rows(&self, of: RowsOf, from: &[f32]) -> Result<(), DeviceError> {
+        let (rows, stream) = (self.queue.rows()?, &self.queue.stream);
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let (to, bytes) = (rows.numbers.slice(rows.sizes.part(of)), size_of_val(from));
+        if to.len() != from.len() {
+            return Err(DeviceError::Call { call: "cuMemcpyHtoD", text: format!("{bytes} bytes of other sizes") });
+        }
+        // SAFETY: the memory lives, has that size and is read by nobody but the card
+        unsafe { result::memcpy_htod_async(to.device_ptr(stream).0, from, stream.cu_stream()) }
+            .map_err(call("cuMemcpyHtoD"))?;
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn write_ends(&self, ends: &[u8]) -> Result<(), DeviceError> {
+        let (rows, stream) = (self.queue.rows()?, &self.queue.stream);
+        stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
+        let ends = &ends[..rows.ends.len().min(ends.len())];
+        // SAFETY: the memory lives, has that size and is read by nobody but the card
+        unsafe { result::memcpy_htod_async(rows.ends.device_ptr(stream).0, ends, stream.cu_stream()) }
+            .map_err(call("cuMemcpyHtoD"))?;
+        stream.synchronize().map_err(call("cuStreamSynchronize"))
+    }
+
+    fn wait_for_caller(&self, stream: u64) -> Result<(), DeviceError> {
+        self.queue.wait_for_caller(stream)
+    }
+
+    fn step_envs(&self, flow: Option<Flow>) -> Result<(), DeviceError> {
+        self.queue.step_envs(&self.kernels.of_envs()?, flow)
+    }
+
+    fn wait(&self, slot: usize) -> Result<(), DeviceError> {
+        self.queue.wait(slot)
     }
 
     fn seconds(&self) -> Option<f64> {
@@ -538,6 +677,8 @@ struct CardBlock {
 /// Envs of a block on a card.
 struct CardEnvs {
     task: TaskTables,
+    /// Row of the first env among all.
+    first: usize,
     integers: CudaSlice<i32>,
     task_numbers: CudaSlice<f32>,
     /// The parts of [`EnvParts::of_device`].
@@ -660,7 +801,7 @@ impl DeviceBlock for CardBlock {
 const NUMBER: usize = size_of::<f32>();
 
 impl EnvBlock for CardBlock {
-    fn place(&mut self, task: TaskTables) -> Result<(), DeviceError> {
+    fn place(&mut self, task: TaskTables, first: usize) -> Result<(), DeviceError> {
         let (stream, parts) = (&self.queue.stream, task.parts(self.shape.robots));
         stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
         // begins to compile
@@ -681,6 +822,7 @@ impl EnvBlock for CardBlock {
             host_numbers: Pinned::new(&self.context, host_numbers.max(1)).map_err(&memory)?,
             host_words: Pinned::new(&self.context, host_words.max(1)).map_err(&memory)?,
             task,
+            first,
         });
         self.queue.finish()
     }
@@ -688,6 +830,11 @@ impl EnvBlock for CardBlock {
     fn host(&mut self) -> Option<EnvHost<'_>> {
         let CardEnvs { task, host_numbers, host_words, .. } = self.envs.as_mut()?;
         Some(EnvHost::new(task, self.shape.robots, host_numbers.numbers(), host_words.numbers()))
+    }
+
+    fn told(&mut self, slot: usize) -> Option<Told<'_>> {
+        let CardEnvs { task, host_words, .. } = self.envs.as_mut()?;
+        Some(Told::new(task, self.shape.robots, host_words.numbers(), slot))
     }
 
     fn watch(&mut self, watched: bool) -> Result<(), DeviceError> {
@@ -699,12 +846,15 @@ impl EnvBlock for CardBlock {
         Ok(())
     }
 
-    fn kept(&mut self, robot: usize) -> Result<Vec<f32>, DeviceError> {
+    fn kept(&mut self, robot: usize) -> Result<Option<Vec<f32>>, DeviceError> {
         let (size, stream) = (self.shape.kept(), &self.queue.stream);
         let kept = self.envs.as_ref().and_then(|envs| envs.kept.as_ref());
-        let Some(kept) = kept else { return Ok(vec![0.0; size]) };
+        let Some(kept) = kept else { return Ok(None) };
         stream.context().bind_to_thread().map_err(call("cuCtxSetCurrent"))?;
-        stream.clone_dtoh(&kept.slice(robot * size..(robot + 1) * size)).map_err(call("cuMemcpyDtoH"))
+        let rows = stream.clone_dtoh(&kept.slice(robot * size..(robot + 1) * size));
+        let rows = rows.map_err(call("cuMemcpyDtoH"))?;
+        stream.synchronize().map_err(call("cuStreamSynchronize"))?;
+        Ok(Some(rows))
     }
 
     fn upload(&mut self) -> Result<(), DeviceError> {
@@ -718,9 +868,7 @@ impl EnvBlock for CardBlock {
         copy(host.numbers(), exchanged, rows)?;
         if let Some(CardEnvs { task, numbers, words, host_numbers, host_words, .. }) = envs {
             let EnvParts { numbers: parts, words: word_parts } = task.parts(shape.robots);
-            for part in [&parts[0], &parts[2]] {
-                copy(host_numbers.numbers(), numbers, part.clone())?;
-            }
+            copy(host_numbers.numbers(), numbers, parts[0].clone())?;
             let part = word_parts[0].clone();
             stream.memcpy_htod(&host_words.numbers()[part], words).map_err(call("cuMemcpyHtoD"))?;
         }
@@ -743,39 +891,49 @@ impl EnvBlock for CardBlock {
         stream.synchronize().map_err(call("cuStreamSynchronize"))
     }
 
-    fn start(&mut self) -> Result<(), DeviceError> {
+    fn start(&mut self, slot: Option<usize>) -> Result<(), DeviceError> {
         let kernel = self.kernels.for_step(&self.shape.tables, &mut self.own, self.steps)?;
         self.steps = self.steps.wrapping_add(1);
         // the rows stay where they are
         let block = Arguments { host: 0, ..self.arguments() };
-        let (robots, stream) = (self.shape.robots, &self.queue.stream);
-        let Some(CardEnvs { task, integers, task_numbers, numbers, words, kept, host_numbers, host_words }) =
+        let (robots, stream, rows) = (self.shape.robots, &self.queue.stream, self.queue.rows()?);
+        let Some(CardEnvs { task, first, integers, task_numbers, numbers, words, kept, host_numbers, host_words }) =
             &self.envs
         else {
             return Err(DeviceError::Call { call: "polypod_env_step", text: "there is no task".into() });
         };
-        let EnvParts { numbers: parts, words: word_parts } = task.parts(robots);
-        let after = |start: CUdeviceptr, part: &Range<usize>| start + (NUMBER * part.start) as CUdeviceptr;
-        let of_device = |part: usize| after(numbers.device_ptr(stream).0, &parts[part]);
-        let of_host = |part: usize| after(host_numbers.address(), &parts[part]);
-        let of_words = |part: usize| after(host_words.address(), &word_parts[part]);
+        let parts = task.parts(robots);
+        let after = |start: CUdeviceptr, numbers: usize| start + (NUMBER * numbers) as CUdeviceptr;
+        let row = |of: RowsOf| {
+            let part = rows.sizes.part(of);
+            let width = part.len() / rows.sizes.envs.max(1);
+            after(rows.numbers.device_ptr(stream).0, part.start + width * first)
+        };
+        let of_host = |part: usize| after(host_numbers.address(), parts.numbers[part].start);
+        let shown = |part: usize| slot.map_or_else(|| of_host(part), |_| 0);
+        let [flags, ended] = parts.of_slot(slot.unwrap_or(0));
+        let terminated = rows.ends.device_ptr(stream).0 + *first as CUdeviceptr;
         let arguments = EnvArguments {
             block,
             task: integers.device_ptr(stream).0,
             task_numbers: task_numbers.device_ptr(stream).0,
-            columns: of_device(0),
+            columns: numbers.device_ptr(stream).0,
             words: words.device_ptr(stream).0,
-            actions: of_device(1),
-            observations: of_device(2),
-            finals: of_device(3),
+            actions: row(RowsOf::Actions),
+            observations: row(RowsOf::Observations),
+            finals: row(RowsOf::Finals),
+            rewards: row(RowsOf::Rewards),
+            commands: row(RowsOf::Commands),
+            terminated,
+            truncated: terminated + rows.sizes.envs as CUdeviceptr,
             kept: kept.as_ref().map_or(0, |kept| kept.device_ptr(stream).0),
-            host_actions: of_host(1),
-            host_observations: of_host(2),
-            host_finals: of_host(3),
-            rewards: of_host(4),
-            commands: of_host(5),
-            flags: of_words(1),
-            ended: of_words(2),
+            given: slot.map_or_else(|| of_host(1), |_| row(RowsOf::Given)),
+            host_observations: shown(2),
+            host_finals: shown(3),
+            host_rewards: shown(4),
+            host_commands: shown(5),
+            flags: after(host_words.address(), flags.start),
+            ended: after(host_words.address(), ended.start),
             ended_size: whole(task.widths[2]),
             warp: 0,
         };

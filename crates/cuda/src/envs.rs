@@ -1,9 +1,17 @@
 //! Envs around the robots of a block: the tables of their task, and the columns and rows in which
 //! the device has them.
 
+use std::fmt;
 use std::ops::Range;
+use std::sync::Arc;
 
+use crate::device::DeviceError;
 use crate::layout::*;
+
+/// Control steps whose outcome the host may not have read yet.
+pub const SLOTS: usize = 4;
+/// Numbers of which a multiple lies in front of each array of [`RowSizes`]: 256 bytes.
+const ALIGNMENT: usize = 64;
 
 /// Bits of an env's flags.
 pub mod flags {
@@ -36,10 +44,12 @@ pub mod flags {
         STANDING,
         /// A caller has set the command.
         PINNED,
-        /// The physics of the control step broke the state, of a robot that is watched.
+        /// The physics of the control step broke the state of a robot whose steps are checked.
         BROKEN,
         /// There is a last observation of an episode that ended in the control step.
         HAS_FINAL,
+        /// An action of the control step is not finite or beyond the limit.
+        BAD_ACTION,
     }
 }
 
@@ -112,9 +122,9 @@ pub struct RewardForm {
 pub struct ObservationForm {
     /// The term.
     pub form: Form,
-    /// Its first column.
+    /// First column of the term.
     pub column: usize,
-    /// Its numbers in one control step.
+    /// Count of the term's numbers in one control step.
     pub size: usize,
     /// Control steps that it remembers, the present one included.
     pub memory: usize,
@@ -151,9 +161,9 @@ pub struct Delay {
 /// When envs whose episode has ended are reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AutoresetForm {
-    /// In the same control step.
+    /// Resets in the control step that ends the episode.
     SameStep,
-    /// In the next one.
+    /// Resets in the next control step.
     NextStep,
     /// When a caller asks.
     Never,
@@ -170,7 +180,7 @@ pub struct TaskForm {
     pub joints: usize,
     /// Contact bodies that are feet.
     pub feet: Vec<usize>,
-    /// Their columns in the batch.
+    /// First column of each foot in the batch.
     pub foot_columns: Vec<usize>,
     /// Numbers that an env keeps for its observations.
     pub kept: usize,
@@ -202,6 +212,8 @@ pub struct TaskForm {
     pub margin: f32,
     /// Share of the joints' ranges that resets stay within.
     pub soft: f32,
+    /// Greatest magnitude of an action.
+    pub max_action: f32,
     /// Ranges of base velocity, joint positions and joint velocities at a reset.
     pub reset_ranges: [[f32; 2]; 3],
     /// Whether joint positions are scaled at a reset, or moved.
@@ -334,6 +346,7 @@ impl TaskTables {
             (F_MARGIN, &[task.margin]),
             (F_SOFT, &[task.soft]),
             (F_BASE_VELOCITY, task.reset_ranges.as_flattened()),
+            (F_MAX_ACTION, &[task.max_action]),
         ] {
             lists.numbers[name..name + numbers.len()].copy_from_slice(numbers);
         }
@@ -382,7 +395,7 @@ impl TaskTables {
     }
 
     /// The parts of the host's numbers: columns, rows of actions, observations and last
-    /// observations, rewards, commands. The first three and the fourth are on the device too.
+    /// observations, rewards, commands. Columns are on the device too.
     pub fn parts(&self, robots: usize) -> EnvParts {
         let sizes = [self.columns, self.widths[0], self.widths[1], self.widths[1], 1, 3].map(|size| size * robots);
         let mut next = 0;
@@ -392,7 +405,7 @@ impl TaskTables {
         };
         let numbers = sizes.map(&mut range);
         let mut next = 0;
-        let words = [NUM_WORDS, 1, self.widths[2]].map(|size| {
+        let words = [NUM_WORDS, SLOTS, SLOTS * self.widths[2]].map(|size| {
             next += size * robots;
             next - size * robots..next
         });
@@ -405,7 +418,7 @@ impl TaskTables {
 pub struct EnvParts {
     /// Columns, actions, observations, last observations, rewards, commands.
     pub numbers: [Range<usize>; 6],
-    /// Columns of integers, flags, ended episodes.
+    /// Columns of integers; flags and ended episodes of [`SLOTS`] control steps.
     pub words: [Range<usize>; 3],
 }
 
@@ -417,7 +430,16 @@ impl EnvParts {
 
     /// Numbers and words that are on the device too.
     pub fn of_device(&self) -> [usize; 2] {
-        [self.numbers[3].end, self.words[0].end]
+        [self.numbers[0].end, self.words[0].end]
+    }
+
+    /// Words of the flags, and of the ended episodes, of a control step.
+    pub fn of_slot(&self, slot: usize) -> [Range<usize>; 2] {
+        let of = |all: &Range<usize>| {
+            let size = all.len() / SLOTS;
+            all.start + slot * size..all.start + (slot + 1) * size
+        };
+        [of(&self.words[1]), of(&self.words[2])]
     }
 }
 
@@ -547,26 +569,30 @@ impl EnvRows<'_> {
 pub struct EnvHost<'a> {
     /// Columns, as the last upload or download has them.
     pub rows: EnvRows<'a>,
-    /// Rows of actions, which a control step reads.
+    /// Rows of actions, which a control step reads that the host waits for.
     pub actions: &'a mut [f32],
-    /// Rows of observations: those that an upload sends, and those that a control step has written.
-    pub observations: &'a mut [f32],
-    /// Last observations of the episodes that ended in the last control step.
+    /// Rows of observations that such a control step has written.
+    pub observations: &'a [f32],
+    /// Last observations of the episodes that ended in it.
     pub finals: &'a [f32],
-    /// Rewards of the last control step.
+    /// Its rewards.
     pub rewards: &'a [f32],
-    /// Velocity commands after the last control step, `[robots, 3]`.
+    /// Velocity commands after it, `[robots, 3]`.
     pub commands: &'a [f32],
-    /// Flags of the last control step, before resets.
+}
+
+/// Flags and ended episodes of a control step of a block.
+pub struct Told<'a> {
+    /// Flags of the envs, before resets.
     pub flags: &'a [u32],
-    /// Episodes that ended in the last control step, see [`EnvHost::ended`].
+    /// Episodes that ended, see [`Told::ended`].
     ended: &'a [u32],
 }
 
 /// An episode that has ended.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Ended {
-    /// Its flags.
+    /// Flags of the ended episode.
     pub flags: u32,
     /// Causes of its end.
     pub causes: u32,
@@ -584,22 +610,122 @@ impl<'a> EnvHost<'a> {
         let EnvParts { numbers: parts, words: word_parts } = task.parts(robots);
         let (columns, rest) = numbers.split_at_mut(parts[0].len());
         let (actions, rest) = rest.split_at_mut(parts[1].len());
-        let (observations, rest) = rest.split_at_mut(parts[2].len());
+        let (observations, rest) = rest.split_at(parts[2].len());
         let (finals, rest) = rest.split_at(parts[3].len());
         let (rewards, commands) = rest.split_at(parts[4].len());
-        let (words, rest) = words.split_at_mut(word_parts[0].len());
-        let (flags, ended) = rest.split_at(word_parts[1].len());
-        let rows = EnvRows { task, robots, numbers: columns, words };
-        Self { rows, actions, observations, finals, rewards, commands, flags, ended }
+        let rows = EnvRows { task, robots, numbers: columns, words: &mut words[word_parts[0].clone()] };
+        Self { rows, actions, observations, finals, rewards, commands }
+    }
+}
+
+impl<'a> Told<'a> {
+    /// The part of the host's words for a control step.
+    pub fn new(task: &TaskTables, robots: usize, words: &'a [u32], slot: usize) -> Self {
+        let [flags, ended] = task.parts(robots).of_slot(slot);
+        Self { flags: &words[flags], ended: &words[ended] }
     }
 
-    /// The episode of an env that ended in the last control step, where its flags say
+    /// The episode of an env that ended in the control step, where its flags say
     /// [`flags::LOGGED`].
     pub fn ended(&self, env: usize) -> Ended {
-        let size = self.rows.task.widths[2];
+        let size = self.ended.len() / self.flags.len().max(1);
         let words = &self.ended[env * size..(env + 1) * size];
         let mut numbers = words[ENDED_SIZE..].iter().map(|&word| f32::from_bits(word));
         let totals = std::array::from_fn(|_| numbers.next().unwrap_or_default());
         Ended { flags: words[1], causes: words[2], steps: words[3], totals, terms: numbers.collect() }
     }
+}
+
+/// An array of numbers of all envs in the device's memory, row-major.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RowsOf {
+    /// Actions that a caller writes on the device: the next control step reads them.
+    Given,
+    /// Actions of the last control step.
+    Actions,
+    /// Observations.
+    Observations,
+    /// Last observations of episodes.
+    Finals,
+    /// Rewards.
+    Rewards,
+    /// Velocity commands, three numbers each.
+    Commands,
+}
+
+/// Sizes of the arrays of all envs in the device's memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RowSizes {
+    /// Number of envs.
+    pub envs: usize,
+    /// Numbers of an action.
+    pub actions: usize,
+    /// Numbers of an observation.
+    pub observations: usize,
+}
+
+impl RowSizes {
+    /// The place of an array among the numbers.
+    pub fn part(&self, of: RowsOf) -> Range<usize> {
+        let widths = [self.actions, self.actions, self.observations, self.observations, 1, 3];
+        let before: usize =
+            widths[..of as usize].iter().map(|width| (width * self.envs).next_multiple_of(ALIGNMENT)).sum();
+        before..before + widths[of as usize] * self.envs
+    }
+
+    /// All numbers.
+    pub fn numbers(&self) -> usize {
+        self.part(RowsOf::Commands).end
+    }
+}
+
+/// Memory of [`DeviceRows`], which is freed when nobody holds it any more.
+pub trait RowsMemory: Send + Sync {
+    /// Lets a caller's queue on the device wait for all steps that have begun, see
+    /// [`Flow::stream`].
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn let_wait(&self, _stream: u64) -> Result<(), DeviceError> {
+        Ok(())
+    }
+}
+
+/// Arrays of all envs in the device's memory, which others may read and write there.
+#[derive(Clone)]
+pub struct DeviceRows {
+    /// Their sizes.
+    pub sizes: RowSizes,
+    /// Number of the card; `None`: they are in the host's memory.
+    pub card: Option<usize>,
+    /// Address of the numbers.
+    pub numbers: u64,
+    /// Address of the flags of ended episodes, a byte each: whether they failed, then whether they
+    /// ran out of time.
+    pub ends: u64,
+    /// Keeps the memory.
+    pub memory: Arc<dyn RowsMemory>,
+}
+
+impl DeviceRows {
+    /// Address of an array.
+    pub fn address(&self, of: RowsOf) -> u64 {
+        self.numbers + (size_of::<f32>() * self.sizes.part(of).start) as u64
+    }
+}
+
+impl fmt::Debug for DeviceRows {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DeviceRows").field("sizes", &self.sizes).field("card", &self.card).finish_non_exhaustive()
+    }
+}
+
+/// A control step that the host does not wait for.
+#[derive(Clone, Copy, Debug)]
+pub struct Flow {
+    /// Place of the control step among [`SLOTS`].
+    pub slot: usize,
+    /// The caller's queue on the device, whose work before the step ends first, and whose work
+    /// after it begins later; of a card its `CUstream`.
+    pub stream: u64,
 }

@@ -16,8 +16,8 @@ pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
 pub use driver::{Card, Found, find};
 pub use envs::{
-    AutoresetForm, Column, Delay, Ended, EnvHost, EnvParts, EnvRows, Form, FormKind, ObservationForm, RewardForm, Slot,
-    TaskForm, TaskTables, Word, flags,
+    AutoresetForm, Column, Delay, DeviceRows, Ended, EnvHost, EnvParts, EnvRows, Flow, Form, FormKind, ObservationForm,
+    RewardForm, RowSizes, RowsMemory, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Told, Word, flags,
 };
 pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};

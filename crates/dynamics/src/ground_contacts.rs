@@ -3,11 +3,12 @@
 use super::articulation::{ContactFriction, Topology};
 use super::gaps::{reach_in_step, separation};
 use super::ground::{candidate, on_terrain, splat_frame, world_place};
-use super::lanes::Real;
+use super::lanes::Lanes;
 use super::math::{Spatial, add, dot, mul_vec, mul_vec_transposed};
 use super::parameters::BodyNumbers;
 use super::rows::NO_TARGET;
 use super::settings::ContactSettings;
+use super::spin_rows::NewSpin;
 use super::state::{State, Workspace};
 use super::terrain::{Near, Terrain};
 
@@ -19,7 +20,7 @@ const NO_GROUND: f64 = 1e9;
 /// `free_base` is the velocity that the base would have without constraints, in base axes about its
 /// origin.
 #[inline(always)]
-pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
+pub(super) fn build_ground_contacts<S: Lanes, B: BodyNumbers<S>>(
     topology: &Topology,
     parameters: B,
     settings: &ContactSettings,
@@ -110,16 +111,17 @@ pub(super) fn build_ground_contacts<S: Real, B: BodyNumbers<S>>(
             let target = separation(gap, settings, inverse_dt);
             let zero = S::zero();
             let mut bounce = S::splat(NO_TARGET);
-            if let Some(elastic) = S::when(zero.lt(parameters.restitution())) {
+            if let Some(elastic) = S::when(zero.lt(parameters.own().restitution)) {
                 let (row, further) = rows.next();
                 let approach = row.first_velocity(topology, further, &rows.base, &rows.joints);
                 let bounces = S::and(approach.lt(S::splat(-settings.bounce_threshold)), gap.lt(-(approach * dt)));
-                bounce = S::select(S::and(elastic, bounces), -(approach * parameters.restitution()), bounce);
+                bounce = S::select(S::and(elastic, bounces), -(approach * parameters.own().restitution), bounce);
             }
             rows.add(near, target, bounce, &state.impulse[c]);
-            if B::FULL_FRICTION && topology.friction != ContactFriction::Sliding {
+            if topology.friction != ContactFriction::Sliding {
                 let warm_start = &state.impulse[topology.spin_impulse(c)];
-                rows.add_spin(topology, solver, factor, links, axes_here, c, near, warm_start);
+                let frame = axes_here;
+                S::call(NewSpin { topology, solver, factor, links, frame, contact: c, near, warm_start, rows });
             }
         }
     }

@@ -159,7 +159,7 @@ impl<S: Real> Spatial<S> {
         Self { ang: [S::zero(); 3], lin: [S::zero(); 3] }
     }
 
-    /// From its six components, angular first.
+    /// Vector of six components, angular first.
     #[inline(always)]
     pub fn from_array([ax, ay, az, lx, ly, lz]: [S; 6]) -> Self {
         Self { ang: [ax, ay, az], lin: [lx, ly, lz] }

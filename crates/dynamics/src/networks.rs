@@ -70,14 +70,14 @@ pub enum Instruction {
     Constant {
         /// `[to]`.
         values: Vec<f32>,
-        /// Where to.
+        /// Features that are written.
         to: Span,
     },
     /// Copies features, of which a single one fills all of `to`.
     Copy {
-        /// From where.
+        /// Features that are copied.
         from: Span,
-        /// Where to.
+        /// Features that are written.
         to: Span,
     },
     /// `to = weights from + bias`.
@@ -95,25 +95,25 @@ pub enum Instruction {
         function: Function,
         /// Inputs.
         from: Span,
-        /// Outputs, as many.
+        /// Outputs, of the same number.
         to: Span,
     },
     /// A function of every pair of features.
     Combine {
         /// Operation on two numbers.
         operation: Operation,
-        /// Its first argument.
+        /// First argument.
         a: Span,
-        /// Its second argument.
+        /// Second argument.
         b: Span,
-        /// Outputs, as many.
+        /// Outputs, of the same number.
         to: Span,
     },
     /// Reads what the network remembers.
     Recall {
         /// The first number among those that are remembered for a joint.
         memory: usize,
-        /// Where to.
+        /// Features that are written.
         to: Span,
     },
     /// The cell of an LSTM: `c' = forget c + input candidate` and `h' = output tanh(c')`.

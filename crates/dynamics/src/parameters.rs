@@ -24,62 +24,47 @@ macro_rules! parameters {
         }
 
         /// The numbers of the bodies in a pack as kernels read them.
+        #[allow(dead_code, reason = "the solver reads the friction of contacts as `own` has it")]
         pub trait BodyNumbers<S: Real>: Copy {
-            /// Whether torsional and rolling friction act, and surfaces of contacts differ. Kernels
-            /// without them are compiled without their rows and numbers.
-            const FULL_FRICTION: bool = false;
+            /// Numbers of each body: coefficients of friction and restitution, and where bodies are
+            /// uniform also their common numbers, once per lane.
+            fn own<'a>(self) -> &'a Parameters<S>
+            where
+                Self: 'a;
             $(
                 /// See [`Parameters`].
                 fn $name(self, i: usize) -> $t;
             )*
-            $(
-                /// See [`Parameters`].
-                fn $one(self) -> S;
-            )*
         }
 
         impl<S: Real> BodyNumbers<S> for &Parameters<S> {
+            #[inline(always)]
+            fn own<'a>(self) -> &'a Parameters<S>
+            where
+                Self: 'a,
+            {
+                self
+            }
             $(
                 #[inline(always)]
                 fn $name(self, i: usize) -> $t {
                     self.$name[i]
                 }
             )*
-            $(
-                #[inline(always)]
-                fn $one(self) -> S {
-                    self.$one
-                }
-            )*
-        }
-
-        impl<S: Real> BodyNumbers<S> for FullFrictionParameters<'_, S> {
-            const FULL_FRICTION: bool = true;
-            $(
-                #[inline(always)]
-                fn $name(self, i: usize) -> $t {
-                    self.0.$name[i]
-                }
-            )*
-            $(
-                #[inline(always)]
-                fn $one(self) -> S {
-                    self.0.$one
-                }
-            )*
         }
 
         impl<S: Real> BodyNumbers<S> for UniformParameters<'_, S> {
+            #[inline(always)]
+            fn own<'a>(self) -> &'a Parameters<S>
+            where
+                Self: 'a,
+            {
+                self.own
+            }
             $(
                 #[inline(always)]
                 fn $name(self, i: usize) -> $t {
                     if i < $own { self.own.$name[i] } else { $visit::splat(&self.shared.$name[i]) }
-                }
-            )*
-            $(
-                #[inline(always)]
-                fn $one(self) -> S {
-                    self.own.$one
                 }
             )*
         }
@@ -167,10 +152,6 @@ pub(super) struct UniformParameters<'a, S> {
     /// Parameters that differ between bodies; the rest is not read.
     pub(super) own: &'a Parameters<S>,
 }
-
-/// Bodies that torsional and rolling friction act on, or whose contacts differ in friction.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct FullFrictionParameters<'a, S>(pub(super) &'a Parameters<S>);
 
 /// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the
 /// base's, the first.
@@ -277,8 +258,8 @@ parameters! {
         link_box: [S; 6], arrays, NONE;
         /// Centre of a collider in its link's frame, m, `[colliders]`.
         collider_centre: Vec3<S>, arrays, NONE;
-        /// From a capsule's centre to the end of its axis in link axes, or half edge lengths of a
-        /// box, m, `[colliders]`.
+        /// Way from a capsule's centre to the end of its axis in link axes, or half edge lengths
+        /// of a box, m, `[colliders]`.
         collider_half: Vec3<S>, arrays, NONE;
         /// Radius of a capsule, m, `[colliders]`.
         collider_radius: S, list, NONE;

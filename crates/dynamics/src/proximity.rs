@@ -23,7 +23,7 @@ pub struct Proximity<S> {
 pub struct Capsule<S> {
     /// Middle of the segment, m.
     pub centre: Vec3<S>,
-    /// From the middle to an end, m; zero makes a sphere.
+    /// Way from the middle to an end, m; zero makes a sphere.
     pub half: Vec3<S>,
     /// Radius, m.
     pub radius: S,

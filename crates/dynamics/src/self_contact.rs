@@ -285,7 +285,7 @@ impl<'a, S: Real> PairShapes<'a, S> {
         }
     }
 
-    /// In base axes.
+    /// Proximity of the shapes in base axes.
     #[inline(always)]
     fn proximity(&self, [s, t]: &[S; 2]) -> Proximity<S> {
         match self {

@@ -9,7 +9,7 @@
 use super::articulation::{ContactFriction, Topology};
 use super::blocks::BLOCK;
 use super::factor::Factor;
-use super::lanes::Real;
+use super::lanes::{Kernel, Real};
 use super::math::Vec3;
 use super::rows::{ContactWork, build_rows};
 use super::settings::SolverSettings;
@@ -39,30 +39,39 @@ impl<S: Real> ContactWork<S> {
     pub(super) fn spins(&self) -> &[SpinRows<S>] {
         &self.spins[..self.num_spins]
     }
+}
 
-    /// Adds torsional and rolling friction to the contact that was added last, which takes part in
-    /// the lanes where it is `near`.
+/// Adds torsional and rolling friction to the contact that was added last.
+pub(super) struct NewSpin<'a, S: Real> {
+    pub(super) topology: &'a Topology,
+    pub(super) solver: &'a SolverSettings,
+    pub(super) factor: &'a Factor<S>,
+    pub(super) links: &'a [LinkState<S>],
+    /// Normal and tangents of the contact, in base axes.
+    pub(super) frame: &'a [Vec3<S>; 3],
+    pub(super) contact: usize,
+    /// The lanes in which the contact takes part.
+    pub(super) near: S::Mask,
+    /// Impulse of the last physics step, N m s.
+    pub(super) warm_start: &'a [S; 3],
+    pub(super) rows: &'a mut ContactWork<S>,
+}
+
+impl<S: Real> Kernel<S> for NewSpin<'_, S> {
+    type Output = ();
+
     #[inline(always)]
-    pub(super) fn add_spin(
-        &mut self,
-        topology: &Topology,
-        solver: &SolverSettings,
-        factor: &Factor<S>,
-        links: &[LinkState<S>],
-        frame: &[Vec3<S>; 3],
-        contact: usize,
-        near: S::Mask,
-        warm_start: &[S; 3],
-    ) {
+    fn run(self) {
+        let Self { topology, solver, factor, links, frame, contact, near, warm_start, rows: work } = self;
         let (z, one, half) = (S::zero(), S::one(), S::splat(0.5));
-        if self.num_spins == self.spins.len() {
-            self.spins.push(SpinRows::zero());
+        if work.num_spins == work.spins.len() {
+            work.spins.push(SpinRows::zero());
         }
         // the compliance of tangents at a lever of 1 m: robots turn more easily, but what is fixed
         // to the world may not turn at all
-        let least = self.compliance * S::splat(solver.min_tangent_compliance);
-        let spin = &mut self.spins[self.num_spins];
-        let further = &mut self.spin_further[self.num_spins * self.stride..];
+        let least = work.compliance * S::splat(solver.min_tangent_compliance);
+        let spin = &mut work.spins[work.num_spins];
+        let further = &mut work.spin_further[work.num_spins * work.stride..];
         for d in 0..3 {
             let [x, y, z] = frame[d];
             spin.rows.base[d] = [x, y, z, S::zero(), S::zero(), S::zero()];
@@ -77,7 +86,7 @@ impl<S: Real> ContactWork<S> {
         for d in 0..3 {
             spin.impulse[d] = S::select(near, warm_start[d], z);
         }
-        self.num_spins += 1;
+        work.num_spins += 1;
     }
 }
 

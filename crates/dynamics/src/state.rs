@@ -94,7 +94,7 @@ impl<S: Real> Drive<S> {
 }
 
 impl<S: Real> State<S> {
-    /// At rest at the origin, all joints zero.
+    /// State at rest at the origin, all joints at zero.
     pub fn zeros(topology: &Topology) -> Self {
         let z = S::zero();
         Self {

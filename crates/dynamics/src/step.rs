@@ -3,8 +3,9 @@
 use std::ops::Range;
 
 use super::actuators::{actuate, select_targets};
-use super::articulation::{ContactFriction, Topology};
+use super::articulation::Topology;
 use super::blocks::{BLOCK, gather};
+use super::factor::Factor;
 use super::ground_contacts::build_ground_contacts;
 use super::joint_bounds::build_joint_bounds;
 use super::kernels::Kernels;
@@ -13,7 +14,7 @@ use super::lanes::{Kernel, Lanes, Real};
 use super::math::{
     Spatial, add, add_scaled, cross, integrate_quat, mul_vec, mul_vec_transposed, normalised, quat_to_mat, splat,
 };
-use super::parameters::{BodyNumbers, FullFrictionParameters, Parameters, UniformParameters};
+use super::parameters::{BodyNumbers, Parameters, UniformParameters};
 use super::report::{Report, report_contacts, report_sites};
 use super::rows::ContactWork;
 use super::self_contact::build_pairs;
@@ -61,9 +62,6 @@ impl<L: Lanes> ControlStep<'_, L> {
     /// calls it once per lane type.
     pub(super) fn compute(self) {
         let parameters = self.parameters;
-        if self.topology.friction != ContactFriction::Sliding || self.topology.has_surfaces {
-            return L::vectorize(StepOf { parameters: FullFrictionParameters(parameters), step: self });
-        }
         match self.nominal {
             Some(shared) if L::READS_UNIFORM => {
                 L::vectorize(StepOf { parameters: UniformParameters { shared, own: parameters }, step: self })
@@ -79,7 +77,7 @@ struct StepOf<'a, S: Real, B> {
     step: ControlStep<'a, S>,
 }
 
-impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
+impl<S: Lanes, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
     type Output = ();
 
     #[inline(always)]
@@ -106,7 +104,7 @@ impl<S: Real, B: BodyNumbers<S>> Kernel<S> for StepOf<'_, S, B> {
 
 /// One physics step of length `settings.dt`. README.md derives it.
 #[inline(always)]
-fn physics_step<S: Real, B: BodyNumbers<S>>(
+fn physics_step<S: Lanes, B: BodyNumbers<S>>(
     topology: &Topology,
     settings: &StepSettings,
     terrain: Option<&Terrain<S>>,
@@ -123,8 +121,44 @@ fn physics_step<S: Real, B: BodyNumbers<S>>(
     factorise(topology, settings, parameters, work);
     let free_base = find_free_velocity(topology, settings, parameters, drive, state, work);
     build_constraints(topology, settings, terrain, parameters, state, &free_base, substep, work);
-    solve_constraints(topology, settings, parameters, state, report, substep, work);
-    integrate(topology, settings, state, report, work);
+    S::call(EndOfStep { topology, settings, parameters: parameters.own(), state, report, substep, work });
+}
+
+/// The part of a physics step that reads no numbers of bodies but their friction.
+struct EndOfStep<'a, S: Real> {
+    topology: &'a Topology,
+    settings: &'a StepSettings,
+    parameters: &'a Parameters<S>,
+    state: &'a mut State<S>,
+    report: &'a mut Report<S>,
+    substep: usize,
+    work: &'a mut Workspace<S>,
+}
+
+impl<S: Lanes> Kernel<S> for EndOfStep<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { topology, settings, parameters, state, report, substep, work } = self;
+        solve_constraints(topology, settings, parameters, state, report, substep, work);
+        integrate(topology, settings, state, report, work);
+    }
+}
+
+/// Factorises a mass matrix.
+struct Factorise<'a, S> {
+    topology: &'a Topology,
+    factor: &'a mut Factor<S>,
+}
+
+impl<S: Real> Kernel<S> for Factorise<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        self.factor.factorise(self.topology);
+    }
 }
 
 /// Finds poses and velocities of all links, bias forces and the mass matrix.
@@ -170,7 +204,7 @@ fn add_link_forces<S: Real>(topology: &Topology, drive: &Drive<S>, work: &mut Wo
 /// Factorises the mass matrix, with the damping of joints and the implicit shares of springs and
 /// actuators on its diagonal.
 #[inline(always)]
-fn factorise<S: Real, B: BodyNumbers<S>>(
+fn factorise<S: Lanes, B: BodyNumbers<S>>(
     topology: &Topology,
     settings: &StepSettings,
     parameters: B,
@@ -186,7 +220,7 @@ fn factorise<S: Real, B: BodyNumbers<S>>(
         }
     }
     add_spring_inertia(topology, parameters, dt, work);
-    work.factor.factorise(topology);
+    S::call(Factorise { topology, factor: &mut work.factor });
 }
 
 /// Finds the velocity that the robot would have after the step without constraints, and returns the
@@ -247,7 +281,7 @@ fn find_free_velocity<S: Real, B: BodyNumbers<S>>(
 /// Builds the rows of ground contacts, of contacts between links and of joint bounds. The sparse
 /// velocity is the free one afterwards.
 #[inline(always)]
-fn build_constraints<S: Real, B: BodyNumbers<S>>(
+fn build_constraints<S: Lanes, B: BodyNumbers<S>>(
     topology: &Topology,
     settings: &StepSettings,
     terrain: Option<&Terrain<S>>,
@@ -271,10 +305,10 @@ fn build_constraints<S: Real, B: BodyNumbers<S>>(
 /// Solves the constraints, stores their impulses for the next warm start, and reports the contact
 /// forces.
 #[inline(always)]
-fn solve_constraints<S: Real, B: BodyNumbers<S>>(
+fn solve_constraints<S: Lanes>(
     topology: &Topology,
     settings: &StepSettings,
-    parameters: B,
+    parameters: &Parameters<S>,
     state: &mut State<S>,
     report: &mut Report<S>,
     substep: usize,

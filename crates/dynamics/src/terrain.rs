@@ -41,9 +41,9 @@ pub struct HeightGrid {
 /// How near the ground of interest is.
 #[derive(Clone, Copy)]
 pub(super) enum Near {
-    /// Below a link.
+    /// Ground below a link.
     Link,
-    /// Below a contact candidate.
+    /// Ground below a contact candidate.
     Candidate,
 }
 
@@ -352,10 +352,10 @@ impl Samples {
     }
 }
 
-/// From this number on a float of single precision has no digits after the point.
+/// Least number from which on single precision has no digits after the point.
 const WHOLE: f32 = 8_388_608.0;
 
-/// The number, or 0 where it is below or a NaN.
+/// Returns the number, or 0 where it is negative or a NaN.
 #[inline(always)]
 fn not_below_zero(x: f32) -> f32 {
     if x > 0.0 { x } else { 0.0 }

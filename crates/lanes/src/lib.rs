@@ -8,7 +8,7 @@
 //!
 //! Kernels are `#[inline(always)]` generic functions entered through [`Lanes::vectorize`], a
 //! function compiled for the instruction set, so that everything is inlined into code that may use
-//! it.
+//! it. [`Lanes::call`] keeps a part of a kernel as a separate function.
 
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
@@ -77,8 +77,8 @@ pub trait Real:
     fn lt(self, other: Self) -> Self::Mask;
     /// `yes` where the mask is true, else `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
-    /// True if any lane of the mask is true: what [`when`](Real::when) and [`repeat`](Real::repeat)
-    /// are made of. Kernels call those two.
+    /// Returns whether any lane of the mask is true. [`when`](Real::when) and
+    /// [`repeat`](Real::repeat) call it; kernels call those two.
     fn any(mask: Self::Mask) -> bool;
     /// The mask, if it is true in any lane. Kernels skip by it what no lane needs, so what is
     /// skipped must change no lane for which the mask is false.
@@ -329,6 +329,11 @@ pub trait Lanes: Real {
 
     /// Runs a kernel, compiled for this lane type's instruction set.
     fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output;
+
+    /// Calls a part of a kernel. The part is compiled once, as a separate function; code in line is
+    /// compiled once per kernel and place. Worth it for parts that several kernels share or that
+    /// few steps need.
+    fn call<K: Kernel<Self>>(part: K) -> K::Output;
 }
 
 /// Lane types whose code needs no instruction set beyond the architecture's.
@@ -340,6 +345,11 @@ macro_rules! run_as_it_is {
 
             fn vectorize<K: Kernel<Self>>(kernel: K) -> K::Output {
                 kernel.run()
+            }
+
+            #[inline(never)]
+            fn call<K: Kernel<Self>>(part: K) -> K::Output {
+                part.run()
             }
         })*
     };

@@ -232,6 +232,17 @@ macro_rules! native_lanes {
                 // SAFETY: as in `each`
                 unsafe { compiled(kernel) }
             }
+
+            #[inline(always)]
+            fn call<K: Kernel<Self>>(part: K) -> K::Output {
+                #[target_feature(enable = $features)]
+                #[inline(never)]
+                fn compiled<P: Proof, K: Kernel<$name<P>>>(part: K) -> K::Output {
+                    part.run()
+                }
+                // SAFETY: as in `each`
+                unsafe { compiled(part) }
+            }
         }
     };
     // the operation on each register

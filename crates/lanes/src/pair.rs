@@ -144,4 +144,9 @@ impl<P: super::Proof> Lanes for Pair<super::Neon<P>> {
         // every machine of the architecture has the instructions
         kernel.run()
     }
+
+    #[inline(never)]
+    fn call<K: Kernel<Self>>(part: K) -> K::Output {
+        part.run()
+    }
 }

@@ -44,7 +44,8 @@ fn fused_multiply_add(a: &Portable, b: &Portable, c: &Portable) -> Portable {
 }
 
 impl Real for Portable {
-    type Mask = [bool; PORTABLE_LANES];
+    /// All bits of a lane that is true: selections are then operations on bits, not branches.
+    type Mask = [u32; PORTABLE_LANES];
     const LANES: usize = PORTABLE_LANES;
     #[inline(always)]
     fn splat(x: f64) -> Self {
@@ -72,15 +73,15 @@ impl Real for Portable {
     }
     #[inline(always)]
     fn lt(self, other: Self) -> Self::Mask {
-        std::array::from_fn(|i| self.0[i] < other.0[i])
+        std::array::from_fn(|i| if self.0[i] < other.0[i] { u32::MAX } else { 0 })
     }
     #[inline(always)]
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self {
-        Portable(std::array::from_fn(|i| if mask[i] { yes.0[i] } else { no.0[i] }))
+        Portable(std::array::from_fn(|i| f32::from_bits(yes.0[i].to_bits() & mask[i] | no.0[i].to_bits() & !mask[i])))
     }
     #[inline(always)]
     fn any(mask: Self::Mask) -> bool {
-        mask.iter().any(|&m| m)
+        mask.iter().fold(0, |all, lane| all | lane) != 0
     }
     #[inline(always)]
     fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask {
@@ -92,11 +93,11 @@ impl Real for Portable {
     }
     #[inline(always)]
     fn not(mask: Self::Mask) -> Self::Mask {
-        mask.map(|is| !is)
+        mask.map(|lane| !lane)
     }
     #[inline(always)]
     fn count(mask: Self::Mask) -> usize {
-        mask.into_iter().map(usize::from).sum()
+        mask.into_iter().map(|lane| (lane & 1) as usize).sum()
     }
     #[inline(always)]
     fn store_some(self, mask: Self::Mask, to: &mut [f32]) {
@@ -104,7 +105,7 @@ impl Real for Portable {
         let mut count = 0;
         for (number, is_some) in self.0.into_iter().zip(mask) {
             to[count] = number;
-            count += usize::from(is_some);
+            count += (is_some & 1) as usize;
         }
     }
     #[inline(always)]

@@ -30,6 +30,8 @@ const STD_RANGE: [f32; 2] = [0.01, 2.0];
 const KEY_SCALE: f32 = 2.0;
 /// Scale of the reflex.
 const REFLEX_SCALE: f32 = 0.1;
+/// Attention to joints that a head does not look at, before the softmax.
+const OUTSIDE: f32 = -1e4;
 /// Number of samples of a tile: they and their bodies fit in a second-level cache of 2 MB.
 const ROWS: usize = 32;
 
@@ -213,7 +215,7 @@ impl JointNetwork {
         }
     }
 
-    /// Its statistics before the first sample: of states, of a description's numbers, of their
+    /// Statistics before the first sample: of states, of a description's numbers, of their
     /// logarithms, of the rest.
     pub(crate) fn normalizers(&self) -> Vec<Normalizer> {
         self.sizes_of_statistics().map(Normalizer::new).to_vec()
@@ -274,6 +276,22 @@ impl JointNetwork {
         self.columns.descriptions.iter().flatten().copied()
     }
 
+    /// Whether joints are compared with that of the slot.
+    fn is_compared(&self, slot: usize) -> bool {
+        self.columns.leg_heads.is_none() || self.columns.legs[slot]
+    }
+
+    /// Calls `change` with the number of each joint and head of a tile that do not see each other.
+    fn for_each_unseen(&self, t: &JointTile, mut change: impl FnMut(usize, usize)) {
+        let Some(leg_heads) = self.columns.leg_heads else { return };
+        for run in &t.runs {
+            for (joint, &slot) in t.slots[run.start..][..run.joints].iter().enumerate() {
+                let heads = if self.columns.legs[slot] { leg_heads..self.columns.num_heads } else { 0..leg_heads };
+                heads.for_each(|head| change(run.start + joint, head));
+            }
+        }
+    }
+
     /// The body that an observation describes.
     pub(crate) fn describe(&self, normalizers: &[Normalizer], at: impl Fn(usize) -> f32) -> Body {
         let descriptions = &self.columns.descriptions;
@@ -282,13 +300,15 @@ impl JointNetwork {
         let slots: Vec<usize> = (0..self.slots).filter(has_joint).collect();
         let normalized = |which: usize, i: usize, x: f32| normalizers.get(which).map_or(x, |of| of.apply_to(i, x));
         let lines = [lines_of(3 * count), lines_of(count)];
+        let num_compared = slots.iter().filter(|&&slot| self.is_compared(slot)).count().max(1) as f32;
         let mut features = vec![Line::ZERO; slots.len() * lines[0]];
         let mut relative = vec![Line::ZERO; slots.len() * lines[1]];
         for (i, columns) in descriptions.iter().enumerate() {
             let absolute: Vec<f32> = slots.iter().map(|&slot| normalized(1, i, at(columns[slot]))).collect();
-            let mean = absolute.iter().sum::<f32>() / slots.len().max(1) as f32;
-            let squares: f32 = absolute.iter().map(|x| (x - mean) * (x - mean)).sum();
-            let spread = (squares / slots.len().max(1) as f32).sqrt() + RELATIVE_FLOOR;
+            let compared = || absolute.iter().zip(&slots).filter(|&(_, &slot)| self.is_compared(slot)).map(|(x, _)| x);
+            let mean = compared().sum::<f32>() / num_compared;
+            let squares: f32 = compared().map(|x| (x - mean) * (x - mean)).sum();
+            let spread = (squares / num_compared).sqrt() + RELATIVE_FLOOR;
             for (joint, &slot) in slots.iter().enumerate() {
                 let logarithm = libm::logf(at(columns[slot]).abs() + LOG_FLOOR);
                 let difference = (absolute[joint] - mean) / spread;
@@ -400,7 +420,19 @@ impl JointNetwork {
         matrix.run(Sines { phases: &t.phases, codes: &mut t.codes });
         self.attention.forward(matrix, weights, n, described, &mut t.shares, None);
         self.focus.forward(matrix, weights, n, &t.codes, &mut t.focused, None);
-        matrix.run(Softmax { runs: &t.runs, num_joints: n, added: &t.focused, shares: &mut t.shares });
+        let (mut focused, mut shares) = (std::mem::take(&mut t.focused), std::mem::take(&mut t.shares));
+        let place = |joint: usize, head: usize| (head / WIDTH * n + joint, head % WIDTH);
+        self.for_each_unseen(t, |joint, head| {
+            let (line, lane) = place(joint, head);
+            focused[line].0[lane] += OUTSIDE;
+        });
+        matrix.run(Softmax { runs: &t.runs, num_joints: n, added: &focused, shares: &mut shares });
+        // a head whose joints a robot lacks gathers zeros
+        self.for_each_unseen(t, |joint, head| {
+            let (line, lane) = place(joint, head);
+            shares[line].0[lane] = 0.0;
+        });
+        (t.focused, t.shares) = (focused, shares);
 
         self.state.forward(matrix, weights, rows * most, &t.states, &mut t.state, None);
         let (by, activation, num_joints) = (&t.by, self.activation, n);

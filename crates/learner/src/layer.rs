@@ -31,9 +31,9 @@ pub(crate) struct Layer {
     /// Places of inputs, rounded up to a multiple of [`BLOCK`].
     inner: usize,
     sort: Sort,
-    /// Its first line among the weights.
+    /// First line of the layer among the weights.
     first: usize,
-    /// Its first line among the transposed weights.
+    /// First line of the layer among the transposed weights.
     first_transposed: usize,
 }
 
@@ -90,7 +90,8 @@ impl Layer {
         if self.sort.goes_back { self.input_panels() * self.inner_transposed() } else { 0 }
     }
 
-    /// Its lines among those of the network: panels `[outputs / 16][inputs, then the bias]`.
+    /// Lines of the layer among those of the network: panels `[outputs / 16][inputs, then the
+    /// bias]`.
     pub(crate) fn of<'a>(&self, lines: &'a [Line]) -> &'a [Line] {
         &lines[self.first..][..self.lines()]
     }
@@ -168,7 +169,7 @@ impl Layer {
         (matrix.product)(Product { rows, range: 0..rows, inner, a: delta, b, out, end });
     }
 
-    /// Its numbers among some lines in torch's order: weight `[outputs, inputs]`, and bias.
+    /// Appends the layer's numbers in torch's order: weight `[outputs, inputs]`, and bias.
     pub(crate) fn export(&self, lines: &[Line], all: &mut Vec<Vec<f32>>) {
         let of = self.of(lines);
         let at = |output: usize, row: usize| of[output / WIDTH * (self.inner + 1) + row].0[output % WIDTH];

@@ -30,7 +30,7 @@ pub trait Peers: Send + Sync {
 /// A worker among the workers of a training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Worker {
-    /// Its number, counted from 0.
+    /// Number of the worker, counted from 0.
     pub index: usize,
     /// Number of workers.
     pub count: usize,

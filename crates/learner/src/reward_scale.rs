@@ -12,9 +12,9 @@ pub(crate) const EPSILON: f64 = 1e-8;
 pub struct RewardScale {
     /// Samples so far, `[robots]`.
     pub count: Vec<f64>,
-    /// Their mean, `[robots]`.
+    /// Mean of the discounted returns, `[robots]`.
     pub mean: Vec<f64>,
-    /// Their variance, `[robots]`.
+    /// Variance of the discounted returns, `[robots]`.
     pub variance: Vec<f64>,
 }
 

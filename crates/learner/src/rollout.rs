@@ -29,11 +29,11 @@ pub(crate) fn share(count: usize, batch: usize, batches: usize) -> Range<usize> 
 ///
 /// Sample `step * num_envs + env` is that of the part's env `env` at step `step`.
 pub(crate) struct Part {
-    /// Their numbers among those of all workers.
+    /// Numbers of the envs among those of all workers.
     pub(crate) envs: Range<usize>,
-    /// Their rows in this worker's arrays.
+    /// Rows of the envs in this worker's arrays.
     pub(crate) rows: Range<usize>,
-    /// Its robots, with their envs, counted from the part's first.
+    /// Robots of the part, with their envs, counted from the part's first.
     pub(crate) blocks: Vec<(usize, Range<usize>)>,
     /// Robot of each of its envs.
     pub(crate) robot_of: Vec<usize>,
@@ -71,7 +71,7 @@ pub(crate) enum End {
     None,
     /// The episode ended; later rewards count nothing.
     Terminated,
-    /// Its time was up; the value stands for the later rewards.
+    /// The episode's time was up; the value stands for the later rewards.
     TimeOut,
 }
 

@@ -35,7 +35,7 @@ pub struct Options {
     pub algorithm: Algorithm,
     /// Divide each robot's rewards by the deviation of its returns.
     pub normalize_reward_per_robot: bool,
-    /// Over each robot's own samples instead of all samples.
+    /// Whether advantages are normalised over each robot's own samples instead of all samples.
     pub normalize_advantage_per_robot: bool,
     /// Use of mirror images.
     pub symmetry: Symmetry,
@@ -78,6 +78,14 @@ pub struct Joints {
     pub descriptions: Vec<Vec<usize>>,
     /// Columns that belong to no joint.
     pub general: Vec<usize>,
+    /// Heads that look at joints of legs alone, the others at all other joints; joints are then
+    /// compared with those of the legs. None: all heads look at all joints, which are compared with
+    /// all of them.
+    #[serde(default)]
+    pub leg_heads: Option<usize>,
+    /// Which of the slots are of a leg, `[slots]`.
+    #[serde(default)]
+    pub legs: Vec<bool>,
 }
 
 /// Hyperparameters of the update.
@@ -131,7 +139,7 @@ impl Symmetry {
 /// A block of envs with the same robot.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    /// Its envs, `[start, stop)`.
+    /// Envs of the robot, `[start, stop)`.
     pub envs: (usize, usize),
     /// Mirror of each number of an observation: index and sign of its image. Empty where there is
     /// no mirror.
@@ -252,6 +260,14 @@ impl Settings {
                 columns.extend(of_number);
             }
             columns.extend(&joints.general);
+            if let Some(heads) = joints.leg_heads {
+                if heads == 0 || heads > joints.num_heads {
+                    return error(format!("leg_heads: {heads} is not from 1 to num_heads = {}", joints.num_heads));
+                }
+                if joints.legs.len() != self.num_actions {
+                    return error(format!("legs: {} of {} slots", joints.legs.len(), self.num_actions));
+                }
+            }
         }
         match columns.iter().find(|&&column| column >= self.num_obs) {
             Some(column) => error(format!("column {column} of a row of {} numbers", self.num_obs)),

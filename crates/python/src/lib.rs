@@ -9,6 +9,7 @@ macro_rules! docstring {
 }
 
 mod arrays;
+mod device_array;
 mod exceptions;
 mod learner;
 mod rows;
@@ -99,7 +100,7 @@ fn train_config<'py>(py: Python<'py>, name: &str, above: Vec<PathBuf>) -> PyResu
     Ok(dict)
 }
 
-/// Files with what they say, and the whole, as TOML.
+/// Config files with their settings, and the merged config, as TOML.
 type ExplainedTexts = (Vec<(String, String)>, String);
 
 fn texts_of(py: Python<'_>, found: Result<Explained, ConfigError>) -> PyResult<ExplainedTexts> {
@@ -298,6 +299,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
+    module.add_class::<device_array::DeviceArray>()?;
     module.add_class::<simulation::Simulation>()?;
     module.add_class::<learner::Learner>()?;
     module.add_function(wrap_pyfunction!(tasks, module)?)?;

@@ -9,6 +9,7 @@ use pyo3::types::{PyBytes, PyDict, PySlice};
 use serde::Serialize;
 
 use super::arrays::{BatchArrays, array, read_only, rows, shaped, view};
+use super::device_array::DeviceArray;
 use super::exceptions::{
     Guarded, fault_exception, optional_pair, optional_whole, to_python, unsigned, value_error, whole,
 };
@@ -27,6 +28,8 @@ use polypod::{Autoreset, ForceRows, Sim, SimOptions};
 pub(super) struct VecSim {
     sim: Guarded<Sim>,
     arrays: BatchArrays,
+    /// Whether the arrays are those of an earlier step, after steps on the card.
+    is_behind: bool,
 }
 
 /// JSON of a description.
@@ -52,7 +55,18 @@ impl VecSim {
         self.arrays.publish_observations(py, self.sim.batch(), self.sim.world().resource::<Workers>())
     }
 
+    /// Brings the arrays up to date, after steps on the card.
+    fn fetch(slf: &Bound<'_, Self>) -> PyResult<()> {
+        if slf.try_borrow()?.is_behind {
+            let (py, mut this) = (slf.py(), slf.try_borrow_mut()?);
+            this.sim.run(py, Sim::fetch_batch)?.map_err(|error| to_python(py, error))?;
+            this.publish(py)?;
+        }
+        Ok(())
+    }
+
     fn publish(&mut self, py: Python<'_>) -> PyResult<()> {
+        self.is_behind = false;
         self.arrays.publish(py, self.sim.batch(), self.sim.world().resource::<Workers>())?;
         self.publish_commands(py)
     }
@@ -155,7 +169,7 @@ impl VecSim {
         };
         let sim = Guarded::new(py, make, to_python)?;
         let arrays = BatchArrays::zeros(py, sim.num_envs(), sim.batch().num_obs);
-        let mut this = Self { sim, arrays };
+        let mut this = Self { sim, arrays, is_behind: false };
         this.publish(py)?;
         Ok(this)
     }
@@ -624,48 +638,71 @@ impl VecSim {
         self.publish(py)
     }
 
+    #[doc = docstring!("VecSim.device_arrays")]
+    fn device_arrays(&mut self, py: Python<'_>) -> PyResult<Option<BTreeMap<&'static str, DeviceArray>>> {
+        let rows = self.sim.run(py, Sim::device_rows)?.map_err(|error| to_python(py, error))?;
+        Ok(rows.map(|rows| DeviceArray::all(&rows)))
+    }
+
+    #[doc = docstring!("VecSim.step_device")]
+    #[pyo3(signature = (stream=0))]
+    fn step_device(&mut self, py: Python<'_>, #[pyo3(from_py_with = whole)] stream: i128) -> PyResult<()> {
+        let stream = unsigned(py, "stream", stream)?;
+        self.is_behind = true;
+        self.sim.run(py, |sim| sim.step_device(stream))?.map_err(|error| to_python(py, error))
+    }
+
     #[doc = docstring!("VecSim.observation")]
     #[getter]
-    fn observation<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        self.observation_of(py, POLICY_GROUP)
+    fn observation<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::observation_of(slf, POLICY_GROUP)
     }
     #[doc = docstring!("VecSim.observation_of")]
-    fn observation_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
-        self.columns(py, self.arrays.observations[self.arrays.current].bind(py), group)
+    fn observation_of<'py>(slf: &Bound<'py, Self>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        let this = slf.try_borrow()?;
+        this.columns(slf.py(), this.arrays.observations[this.arrays.current].bind(slf.py()), group)
     }
     #[doc = docstring!("VecSim.reward")]
     #[getter]
-    fn reward<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        view(self.arrays.reward.bind(py).as_any())
+    fn reward<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        view(slf.try_borrow()?.arrays.reward.bind(slf.py()).as_any())
     }
     #[doc = docstring!("VecSim.terminated")]
     #[getter]
-    fn terminated<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        view(self.arrays.terminated.bind(py).as_any())
+    fn terminated<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        view(slf.try_borrow()?.arrays.terminated.bind(slf.py()).as_any())
     }
     #[doc = docstring!("VecSim.truncated")]
     #[getter]
-    fn truncated<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        view(self.arrays.truncated.bind(py).as_any())
+    fn truncated<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        view(slf.try_borrow()?.arrays.truncated.bind(slf.py()).as_any())
     }
     #[doc = docstring!("VecSim.final_obs")]
     #[getter]
-    fn final_obs<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        self.final_obs_of(py, POLICY_GROUP)
+    fn final_obs<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::final_obs_of(slf, POLICY_GROUP)
     }
     #[doc = docstring!("VecSim.final_obs_of")]
-    fn final_obs_of<'py>(&self, py: Python<'py>, group: &str) -> PyResult<Bound<'py, PyAny>> {
-        self.columns(py, self.arrays.final_obs.bind(py), group)
+    fn final_obs_of<'py>(slf: &Bound<'py, Self>, group: &str) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        let this = slf.try_borrow()?;
+        this.columns(slf.py(), this.arrays.final_obs.bind(slf.py()), group)
     }
     #[doc = docstring!("VecSim.final_mask")]
     #[getter]
-    fn final_mask<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        view(self.arrays.final_mask.bind(py).as_any())
+    fn final_mask<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        view(slf.try_borrow()?.arrays.final_mask.bind(slf.py()).as_any())
     }
     #[doc = docstring!("VecSim.command")]
     #[getter]
-    fn command<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        view(self.arrays.command.bind(py).as_any())
+    fn command<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        view(slf.try_borrow()?.arrays.command.bind(slf.py()).as_any())
     }
 
     #[doc = docstring!("VecSim.state")]
@@ -744,12 +781,14 @@ impl VecSim {
     }
 
     #[doc = docstring!("VecSim.command_of")]
-    fn command_of<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
-        if name == VELOCITY_COMMAND && self.sim.task().has_velocity_command() {
-            return self.arrays.command.bind(py).call_method0("copy");
+    fn command_of<'py>(slf: &Bound<'py, Self>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        Self::fetch(slf)?;
+        let (py, this) = (slf.py(), slf.try_borrow()?);
+        if name == VELOCITY_COMMAND && this.sim.task().has_velocity_command() {
+            return this.arrays.command.bind(py).call_method0("copy");
         }
-        let numbers = self.sim.command_numbers(name).map_err(|error| to_python(py, error))?;
-        let shape = [self.sim.num_envs(), numbers.len() / self.sim.num_envs().max(1)];
+        let numbers = this.sim.command_numbers(name).map_err(|error| to_python(py, error))?;
+        let shape = [this.sim.num_envs(), numbers.len() / this.sim.num_envs().max(1)];
         Ok(numbers.into_pyarray(py).reshape(shape)?.into_any())
     }
 
@@ -917,6 +956,12 @@ impl VecSim {
     #[doc = docstring!("VecSim.lacks_on_device")]
     fn lacks_on_device(&mut self, py: Python<'_>) -> PyResult<Option<String>> {
         self.sim.run(py, Sim::lacks_on_device)
+    }
+
+    #[doc = docstring!("VecSim.choice_of_engine")]
+    #[getter]
+    fn choice_of_engine(&self) -> Option<&str> {
+        self.sim.choice_of_engine()
     }
 
     #[doc = docstring!("VecSim.set_dump_dir")]

@@ -51,7 +51,7 @@ pub struct PolicyManifest {
     pub kind: String,
     /// Name of the task that the policy was trained on.
     pub task: String,
-    /// Its changes to the task, `key=value`.
+    /// Changes of the policy to the task, `key=value`.
     #[serde(default)]
     pub overrides: Vec<String>,
     /// Robots that it was trained on: names, or paths of configs.

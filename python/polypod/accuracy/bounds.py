@@ -25,7 +25,7 @@ class Bound:
     result: type
     """Comparisons that have the figure."""
     figure: Callable[[Any], float | None]
-    """From a comparison; None where the bound does not apply to it."""
+    """Finds the figure in a comparison; None where the bound does not apply to it."""
     most: float
     """Largest figure that is accepted, SI units."""
     reason: str
@@ -33,7 +33,7 @@ class Bound:
     unit: str = ""
     """Unit of the tables."""
     scale: float = 1.0
-    """From SI units to that unit."""
+    """Factor from SI units to that unit."""
     digits: str = ".2f"
     """Format of a figure in that unit."""
     front_page: bool = True

@@ -42,7 +42,7 @@ degrees, in MuJoCo as well."""
 STAND_TIME = 2.0
 """How long a robot has to stand, s."""
 CALM_TIME = 0.5
-"""At the end of it, in which the base may not move about, s."""
+"""Time at the end in which the base must stay in place, s."""
 CALM_SPEED = 0.1
 """Largest speed of the base at rest, m/s."""
 LEAST_HEIGHT = 0.6

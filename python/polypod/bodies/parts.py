@@ -55,7 +55,7 @@ class Joint:
     group: str
     """Group of actuators."""
     angle: float = 0.0
-    """In the default pose, rad."""
+    """Angle in the default pose, rad."""
     yaw: float = 0.0
     """Angle of the joint's frame in its parent's, rad."""
 
@@ -105,7 +105,7 @@ class Body:
 
 
 HIP_ORDERS = ("yaw roll pitch", "pitch roll yaw", "roll yaw pitch", "roll pitch yaw", "pitch yaw roll")
-"""From the base to the thigh."""
+"""Orders of the hip's joints from the base to the thigh."""
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

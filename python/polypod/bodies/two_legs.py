@@ -33,18 +33,18 @@ class _Part:
     """A link of the upright pose with the joint that holds it."""
 
     link: Link
-    """Its shape is relative to the joint."""
+    """Link whose shape is relative to the joint."""
     parent: str = ""
     """Empty for the base."""
     joint: str = ""
     at: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """From the parent's joint."""
+    """Place relative to the parent's joint, m."""
     axis: tuple[float, ...] = (0.0, 1.0, 0.0)
     lower: float = 0.0
     upper: float = 0.0
     group: str = ""
     angle: float = 0.0
-    """In the default pose."""
+    """Angle in the default pose, rad."""
     zero: float = 0.0
     """Where the file has its zero."""
 

@@ -31,7 +31,7 @@ BETTER = {
     "drift_xy": -1,
     "drift_yaw": -1,
 }
-"""By figure, 1 where a larger one is better, -1 where a smaller one is."""
+"""Direction by figure: 1 where a larger one is better, -1 where a smaller one is."""
 
 ALL = "all robots"
 """Name of the mean over the robots."""
@@ -60,7 +60,7 @@ class Comparison:
     second: list[Evaluation]
     """The second policy's, in the same order."""
     robots: dict[str, dict[str, Difference]]
-    """By robot and figure; `ALL` has the mean over the robots."""
+    """Differences by robot and figure; `ALL` has the mean over the robots."""
 
     def as_dict(self) -> dict[str, Any]:
         """The same, for JSON: None stands for a number that is not finite."""

@@ -58,7 +58,7 @@ class Gate:
     leg_qvel_rms: float
     """Root mean square of the speeds of the legs' joints, rad/s."""
     walk_falls: int
-    """In the walk ahead; not bounded."""
+    """Falls in the walk ahead; not bounded."""
 
     @property
     def passes(self) -> bool:

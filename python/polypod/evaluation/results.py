@@ -90,9 +90,9 @@ class RobotResult:
     robot_class: str = ""
     """Humanoid, biped, quadruped, hexapod; empty in files of builds that did not write it."""
     terrain: dict[str, list[TileResult]] = dataclasses.field(default_factory=dict)
-    """By type of tile, easiest level first; empty where the ground is no generated terrain."""
+    """Results by type of tile, easiest level first; empty without a generated terrain."""
     commands: list[CommandResult] = dataclasses.field(default_factory=list)
-    """By command; empty without a grid of commands."""
+    """Results by command; empty without a grid of commands."""
     walking: Walking | None = None
     """Figures of the definition of walking; None where the commands were not those of its
     schedule."""
@@ -148,7 +148,7 @@ class Evaluation:
     """Keys of the noise, the pushes and the randomisation that were on, see
     `polypod._core.disturbances`."""
     distances: dict[str, Distance] = dataclasses.field(default_factory=dict)
-    """By robot, how far those that the policy was not trained on are from its training bodies."""
+    """Distance from the training bodies, by robot that the policy was not trained on."""
     commands: str = "task"
     """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid",
     or "task" for commands as the task draws them. Files of builds that did not write it hold the

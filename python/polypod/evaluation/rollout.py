@@ -245,7 +245,7 @@ def _episode(
 
 
 def _commands(sim: _core.VecSim, grid: Grid) -> dict[str, npt.NDArray[np.float32]]:
-    """Per robot [n, 3], the last axis running fastest.
+    """Commands of each robot [n, 3], the last axis running fastest.
 
     A single value on an axis is the middle of the robot's range.
     """

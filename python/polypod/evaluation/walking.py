@@ -255,7 +255,7 @@ class Walking:
     drift_xy: float
     drift_yaw: float
     by_kind: dict[str, Segments] = dataclasses.field(default_factory=dict)
-    """By kind of segment; only those that came up."""
+    """Figures by kind of segment, of kinds that came up."""
 
     @classmethod
     def from_dict(cls, content: Mapping[str, Any]) -> "Walking":

@@ -419,13 +419,18 @@ def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target:
         return graph.node("ReduceSum", value, axis, output=name, keepdims=1)
 
     def per_joint(value: str, name: str) -> str:
+        if compared != present:
+            value = graph.node("Mul", value, compared, output=f"{name}_compared")
         return graph.node("Div", total(value, of_joints, f"{name}_total"), joints, output=name)
 
     states = normalized(of_each_joint(network.state_columns, "state"), "states", network.state_scale)
     numbers = of_each_joint(network.description_columns, "description")
     sizes = graph.node("Abs", numbers, output="description_sizes")
     present = graph.node("Sign", total(sizes, last, "description_size"), output="present")
-    joints = graph.node("Max", total(present, of_joints, "joints_found"), number("one", 1.0), output="joints")
+    compared, are_legs = present, network.leg_slots.cpu().numpy().reshape(1, slots, 1)
+    if network.leg_heads is not None:
+        compared = graph.node("Mul", present, graph.constant("leg_slots", are_legs.astype(np.float32)), output="legs")
+    joints = graph.node("Max", total(compared, of_joints, "joints_found"), number("one", 1.0), output="joints")
     absolute = graph.node("Mul", normalized(numbers, "numbers"), present, output="absolute")
     apart = graph.node("Sub", absolute, per_joint(absolute, "mean_joint"), output="apart_of_all")
     apart = graph.node("Mul", apart, present, output="apart")
@@ -452,10 +457,17 @@ def _add_joint_network(graph: Graph, network: JointNetwork, source: str, target:
     attention = graph.node(
         "Add", linear(network.attention, description, "attention"), linear(network.focus, code, "focus"), output="looks"
     )
-    outside = graph.node("Sub", present, "one", output="less_present")
+    seen = present
+    if network.leg_heads is not None:
+        of_legs = np.arange(network.attention.out_features) < network.leg_heads
+        seen = graph.constant("heads_of_slots", (are_legs == of_legs).astype(np.float32))
+        seen = graph.node("Mul", present, seen, output="seen_by_heads")
+    outside = graph.node("Sub", seen, "one", output="less_present")
     outside = graph.node("Mul", outside, number("outside", -OUTSIDE), output="outside_of_body")
     attention = graph.node("Add", attention, outside, output="looks_at_body")
     shares = graph.node("Softmax", attention, output="shares", axis=1)
+    if network.leg_heads is not None:
+        shares = graph.node("Mul", shares, seen, output="shares_of_seen")
     heads = graph.node("Transpose", shares, output="heads", perm=[0, 2, 1])
     pooled = graph.node("MatMul", heads, linear(network.value, state, "value"), output="pooled_heads")
     flat = np.array([0, network.attention.out_features * network.value.out_features], dtype=np.int64)

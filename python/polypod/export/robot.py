@@ -28,7 +28,7 @@ OUTPUTS = {
     "joint_pos_target": "joint position targets in the robot's own order, rad",
     "actions": "the action in canonical order, 0 where the robot has no joint: the next step's `last_action`",
 }
-"""Its outputs."""
+"""Outputs of the network."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,7 +207,7 @@ def _undisturbed(manifest: Mapping[str, Any], robots: Sequence[str] | None) -> t
 
 
 def _scan_points(scanner: Mapping[str, Any] | None) -> Floats:
-    """From back to front and, row by row, from right to left, as the simulator counts them."""
+    """Points of the scan in the simulator's order: from back to front, rows from right to left."""
     if scanner is None:
         return np.zeros((0, 2), dtype=np.float32)
     size, resolution = scanner["size"], scanner["resolution"]

@@ -41,11 +41,11 @@ class Base(msgspec.Struct, forbid_unknown_fields=True):
     """Pose of the base: changes from the default pose."""
 
     forward: Share | None = None
-    """In leg lengths, along the world's x axis."""
+    """Displacement along the world's x axis, in leg lengths."""
     left: Share | None = None
-    """In leg lengths, along the world's y axis."""
+    """Displacement along the world's y axis, in leg lengths."""
     up: Share | None = None
-    """In leg lengths."""
+    """Displacement upwards, in leg lengths."""
     roll: Degrees | None = None
     """About the x axis, degrees."""
     pitch: Degrees | None = None

@@ -47,7 +47,7 @@ class Motion:
     link_names: tuple[str, ...] = ()
     """Links whose positions the motion's file says."""
     link_pos: Array | None = None
-    """Their positions, [frames, links, 3], m."""
+    """Positions of the links, [frames, links, 3], m."""
     notes: tuple[str, ...] = ()
     """Sentences on what the making of the motion has lost."""
 

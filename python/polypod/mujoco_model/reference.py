@@ -109,7 +109,7 @@ class Ground:
     """Contacts with MuJoCo's default time constant and impedance in place of the stiffest ones that
     the step allows."""
     heights: Heights | None = None
-    """In place of the plane."""
+    """Heights in place of the plane."""
     torsional_friction: float = 0.0
     """Torque about a contact's normal per normal force, m."""
     rolling_friction: float = 0.0

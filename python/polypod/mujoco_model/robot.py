@@ -94,7 +94,7 @@ class Robot:
     urdf: str
     """The URDF's text."""
     joint_names: tuple[str, ...]
-    """In polypod's order."""
+    """Names of the joints in polypod's order."""
     default_position: Array
     """Default position of each joint, rad."""
     joint_range: Array
@@ -105,7 +105,7 @@ class Robot:
     locked_joints: dict[str, float]
     """Joints of the URDF that are held for good, by name, and where, rad or m."""
     source: str
-    """Its name in the library, or the path of its config."""
+    """Name of the robot in the library, or the path of its config."""
     needs_policy: bool
     """Whether its config says that only a policy can balance it."""
     urdf_file: str

@@ -13,7 +13,7 @@ class Clip(torch.nn.Module):
     """Limits the magnitude of actions."""
 
     def __init__(self, limit: float) -> None:
-        """To `limit`, above 0."""
+        """Clips to `limit`, above 0."""
         super().__init__()
         self.limit = limit
 

@@ -1,6 +1,7 @@
 """Where an observation holds what belongs to which joint."""
 
 import dataclasses
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,6 +32,8 @@ class JointColumns:
     robot. A joint that a robot lacks has zeros alone, and no joint that it has."""
     general: npt.NDArray[np.int64]
     """[n], columns that belong to no joint."""
+    legs: npt.NDArray[np.bool_]
+    """[joints], which of the slots are of a leg, by their names."""
     num_obs: int
 
     @property
@@ -39,17 +42,18 @@ class JointColumns:
         return self.states.shape[1]
 
 
-def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
+def joint_columns(layout: Layout, joint_names: Sequence[str]) -> JointColumns:
     """The columns of an observation.
 
     Args:
         layout: terms of the observation.
-        num_joints: slots of the action.
+        joint_names: slots of the action.
 
     Raises:
         ConfigError: for an observation without states or without descriptions, and for a term that
             does not fit the slots.
     """
+    num_joints = len(joint_names)
     terms = read_layout(layout)
     states: list[npt.NDArray[np.int64]] = []
     descriptions: list[npt.NDArray[np.int64]] = []
@@ -82,8 +86,17 @@ def joint_columns(layout: Layout, num_joints: int) -> JointColumns:
         magnitudes=np.array(magnitudes, dtype=np.float32),
         descriptions=np.concatenate(descriptions),
         general=np.array(general, dtype=np.int64),
+        legs=np.array([_is_of_leg(name) for name in joint_names]),
         num_obs=sum(term.size for term in terms),
     )
+
+
+_OTHER_LIMBS = re.compile(r"(TORSO|HEAD|ARM|TAIL)_|[LR]_(SHOULDER_|ELBOW|WRIST_|FINGER)")
+"""Slots of limbs that are no legs."""
+
+
+def _is_of_leg(name: str) -> bool:
+    return not _OTHER_LIMBS.match(name)
 
 
 def _check_size(term: Term, joints: int) -> None:

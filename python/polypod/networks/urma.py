@@ -79,6 +79,8 @@ class _Joints(NamedTuple):
     """[rows, numbers], the part of the descriptions that compares joints of one robot."""
     present: torch.Tensor
     """[batch, places], which of a sample's places hold a joint."""
+    legs: torch.Tensor | None
+    """[batch, places], which of them hold a joint of a leg; None where legs count as other limbs."""
     place_of_row: torch.Tensor | None
     """[rows], place of each row in batch x places; None: rows are all places."""
     sample_of_row: torch.Tensor | None
@@ -120,6 +122,7 @@ class JointNetwork(torch.nn.Module):
     description_columns: torch.Tensor
     general_columns: torch.Tensor
     state_scale: torch.Tensor
+    leg_slots: torch.Tensor
 
     def __init__(
         self,
@@ -131,11 +134,12 @@ class JointNetwork(torch.nn.Module):
         activation: str,
         normalize: bool = False,
         init_std: float = 1.0,
+        leg_heads: int | None = None,
     ) -> None:
         """Draws the weights.
 
         Args:
-            columns: where the observation holds what.
+            columns: where the observation holds what. `columns.legs` is read with `leg_heads`.
             num_outputs: numbers about the whole body; None: actions of the joints.
             joint_dim: width of a joint's encodings, at least 4.
             num_heads: of the attention; each gathers `joint_dim` / 4 numbers.
@@ -144,8 +148,14 @@ class JointNetwork(torch.nn.Module):
             normalize: by running mean and deviation, which all joints share; else states by their
                 magnitudes alone.
             init_std: first deviation of the actions.
+            leg_heads: heads that look at joints of legs alone; the others look at all other joints,
+                and gather zeros where there are none. Joints are compared with those of the legs.
+                So the reading of a leg does not depend on which arms a body has. None: all heads
+                look at all joints, and joints are compared with all of them.
         """
         super().__init__()
+        self.leg_heads = leg_heads
+        self.register_buffer("leg_slots", torch.from_numpy(columns.legs.copy()), persistent=False)
         self.num_joints = columns.num_joints
         self.num_states, self.num_descriptions = len(columns.states), len(columns.descriptions)
         for name in ("state", "description", "general"):
@@ -207,7 +217,7 @@ class JointNetwork(torch.nn.Module):
         # with deviation 1
         code = math.sqrt(2.0) * torch.sin(_at_least_single(self.code(joints.relative)))
         attention = joints.at_places(self.attention(description) + self.focus(code))
-        shares = attention.masked_fill(~joints.present.unsqueeze(-1), OUTSIDE).softmax(dim=1)
+        shares = self._shares(attention, joints)
         values = joints.at_places(self.value(state))
         gathered = torch.matmul(shares.transpose(1, 2).to(values.dtype), values).flatten(1)
         body = self.body(torch.cat([gathered, self._general(observations)], dim=1))
@@ -219,6 +229,17 @@ class JointNetwork(torch.nn.Module):
         deviations = joints.at_slots(self.deviations(joints.descriptions), self.num_joints)
         mask = self.mask(observations).to(means.dtype)
         return torch.stack([means, deviations + (1.0 - mask), mask], dim=1)
+
+    def _shares(self, attention: torch.Tensor, joints: _Joints) -> torch.Tensor:
+        """Shares of the joints in what each head gathers, [batch, places, heads]."""
+        present = joints.present.unsqueeze(-1)
+        if joints.legs is None:
+            return attention.masked_fill(~present, OUTSIDE).softmax(dim=1)
+        assert self.leg_heads is not None
+        legs, others = joints.legs.unsqueeze(-1), present & ~joints.legs.unsqueeze(-1)
+        heads = (self.leg_heads, attention.shape[-1] - self.leg_heads)
+        seen = torch.cat([legs.expand(-1, -1, heads[0]), others.expand(-1, -1, heads[1])], dim=2)
+        return attention.masked_fill(~seen, OUTSIDE).softmax(dim=1) * seen
 
     def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
         """[rows, features] to [rows]."""
@@ -287,6 +308,7 @@ class JointNetwork(torch.nn.Module):
         counts = mask.sum(dim=1)
         place_of_row = sample_of_row = slot_of_row = None
         present = mask
+        legs = mask & self.leg_slots if self.leg_heads is not None else None
         num_rows, most = self._sizes(counts)
         if num_rows < batch * slots:
             ranks = mask.cumsum(dim=1) - 1
@@ -297,19 +319,32 @@ class JointNetwork(torch.nn.Module):
             features = rows.new_zeros(batch * most, rows.shape[1]).index_copy(0, place_of_row, rows)
             features = features.reshape(batch, most, rows.shape[1])
             present = torch.arange(most, device=mask.device) < counts.unsqueeze(1)
+            if legs is not None:
+                legs_of_rows = legs.flatten().index_select(0, slot_of_row)
+                legs = present.new_zeros(batch * most).index_copy(0, place_of_row, legs_of_rows).reshape(batch, most)
         states, numbers = features[..., : self.num_states], features[..., self.num_states :]
         states = self.moments["states"](states * self.state_scale)
-        there, counted = present.unsqueeze(-1).to(states.dtype), counts.clamp(min=1).view(-1, 1, 1).to(states.dtype)
+        there = present.unsqueeze(-1).to(states.dtype)
         absolute = self.moments["numbers"](numbers) * there
-        differences = (absolute - absolute.sum(dim=1, keepdim=True) / counted) * there
-        deviations = (differences.square().sum(dim=1, keepdim=True) / counted).sqrt()
+        # joints that the others are compared with
+        compared = None if legs is None else legs.unsqueeze(-1).to(states.dtype)
+        if legs is not None:
+            counts = legs.sum(dim=1)
+        counted = counts.clamp(min=1).view(-1, 1, 1).to(states.dtype)
+
+        def mean(of_joints: torch.Tensor) -> torch.Tensor:
+            """[batch, places, numbers] to [batch, 1, numbers]."""
+            return (of_joints if compared is None else of_joints * compared).sum(dim=1, keepdim=True) / counted
+
+        differences = (absolute - mean(absolute)) * there
+        deviations = mean(differences.square()).sqrt()
         relative = differences / (deviations + RELATIVE_FLOOR)
         logarithms = self.moments["logarithms"](_logarithms(numbers)) * there
         descriptions = torch.cat([absolute, logarithms, relative], dim=2).flatten(0, 1)
         states, relative = states.flatten(0, 1), relative.flatten(0, 1)
         if place_of_row is not None:
             states, descriptions, relative = (x.index_select(0, place_of_row) for x in (states, descriptions, relative))
-        return _Joints(states, descriptions, relative, present, place_of_row, sample_of_row, slot_of_row)
+        return _Joints(states, descriptions, relative, present, legs, place_of_row, sample_of_row, slot_of_row)
 
 
 def _where_true(mask: torch.Tensor, count: int) -> torch.Tensor:
@@ -372,6 +407,7 @@ class UrmaModel(MLPModel):
         num_heads: int,
         observation_layout: Layout,
         joint_names: Sequence[str],
+        leg_heads: int | None = None,
     ) -> None:
         """Draws the weights, as rsl_rl asks for it.
 
@@ -388,12 +424,13 @@ class UrmaModel(MLPModel):
             num_heads: see `JointNetwork`.
             observation_layout: terms of the observation, see `polypod.observation.layout_of`.
             joint_names: slots of the action.
+            leg_heads: see `JointNetwork`.
 
         Raises:
             ConfigError: for an observation without what the network reads.
         """
         super().__init__(obs, obs_groups, obs_set, output_dim, [1], activation, False, distribution_cfg)
-        columns = joint_columns(observation_layout, len(joint_names))
+        columns = joint_columns(observation_layout, joint_names)
         if columns.num_obs != self.obs_dim:
             raise _core.ConfigError(
                 f"observation_layout counts {columns.num_obs} numbers, but an observation has {self.obs_dim}"
@@ -405,7 +442,7 @@ class UrmaModel(MLPModel):
             raise _core.ConfigError("a network of joints draws its actions from a polypod.networks:JointGaussian")
         init_std = self.distribution.init_std if isinstance(self.distribution, JointGaussian) else 1.0
         self.mlp = JointNetwork(
-            columns, outputs, joint_dim, num_heads, hidden_dims, activation, obs_normalization, init_std
+            columns, outputs, joint_dim, num_heads, hidden_dims, activation, obs_normalization, init_std, leg_heads
         )
 
     def update_normalization(self, obs: TensorDict) -> None:

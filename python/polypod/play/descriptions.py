@@ -33,7 +33,7 @@ def check() -> None:
 
 @functools.cache
 def modules() -> dict[str, str]:
-    """By robot, its module of robot_descriptions."""
+    """Returns each robot's module of robot_descriptions."""
     return tomllib.loads((Path(__file__).parent / "descriptions.toml").read_text(encoding="utf-8"))
 
 
@@ -148,7 +148,7 @@ def _file(name: str, folders: Sequence[Path], urdf: Path) -> Path:
 
 
 def _parents(tree: ElementTree.Element) -> dict[str, tuple[str, Array]]:
-    """By link, the link above and the place in its frame with the joint at zero."""
+    """Returns each link's parent, and its place in the parent's frame with the joint at zero."""
     parents = {}
     for joint in tree.iterfind("joint"):
         child, parent = joint.find("child"), joint.find("parent")

@@ -73,7 +73,7 @@ class Live:
         self.paused = False
         self.speed = 1.0
         self.env = 0
-        """Number of the env that plots and pushes are of."""
+        """Number of the env that is plotted and pushed."""
         self.source = FROM_TASK
         self.own = np.zeros(3)
         """The user's command: forward and left velocity, m/s, and yaw rate, rad/s."""

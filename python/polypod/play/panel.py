@@ -12,7 +12,7 @@ from polypod.play.plots import AXES
 from polypod.play.viewer import GROUP, NOTHING
 
 REFRESH = 0.2
-"""Between two drawings of a plot, s."""
+"""Time between two drawings of a plot, s."""
 ALL = "all"
 """Every robot of the policy."""
 OWN_TASK = "the policy's own"

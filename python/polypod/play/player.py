@@ -18,7 +18,7 @@ from polypod.runs.own_terms import terms_of_run
 from polypod.vector_env import simulator
 
 SPACING = 1.2
-"""Between robots that walk side by side, m."""
+"""Distance between robots that walk side by side, m."""
 _ALIGNED = ("x", "y", "yaw")
 
 

@@ -223,6 +223,14 @@ class TermSim(_core.VecSim):
         self._begin(rows, ended=np.flatnonzero(ended), seed=seed, state=state)
         self._terminated, self._truncated = self._terminated & ~rows, self._truncated & ~rows
 
+    def device_arrays(self) -> None:
+        """None: terms in Python take part in each control step, on the host."""
+        return
+
+    def step_device(self, stream: int = 0) -> None:
+        """Raises ConfigError, see `device_arrays`."""
+        raise _core.ConfigError("step_device: terms in Python take part in each control step; call step")
+
     def terminate(self, mask: BoolArray) -> None:
         """See `VecSim.terminate`."""
         super().terminate(mask)

@@ -18,9 +18,9 @@ class Camera:
     position: tuple[float, float, float]
     """Position of the camera, m."""
     target: tuple[float, float, float]
-    """In the middle of the picture, m."""
+    """Point in the middle of the picture, m."""
     field_of_view: float = 32.0
-    """From the upper to the lower edge, degrees."""
+    """Angle from the upper to the lower edge, degrees."""
 
     def view(self) -> Array:
         """[3, 3], rows are the camera's right, down and forward axes in the world."""

@@ -40,7 +40,7 @@ class Mesh:
         return both.astype(np.uint32)
 
     def split(self) -> tuple["Mesh", "Mesh"]:
-        """Its faces that reach above the ground, and those that reach below."""
+        """Returns the faces that reach above the ground, and the faces that reach below."""
         heights = self.vertices[self.faces][..., 2]
         above, below = heights.max(axis=1) > 0.0, heights.min(axis=1) < 0.0
         return Mesh(self.vertices, self.faces[above]), Mesh(self.vertices, self.faces[below])

@@ -48,7 +48,7 @@ TITLE = 15
 TILE = 1.0
 """Side of a tile of the ground, m."""
 TILES_SHOWN = 22
-"""In each direction from the middle of the picture."""
+"""Number of tiles in each direction from the middle of the picture."""
 CLOSE_UP = 3.1
 """Seen around a robot that is followed on terrain, in lengths of its reach."""
 CLOSE_UP_FROM = (0.67, 0.74, 0.50)

@@ -22,11 +22,11 @@ class Part:
     group: str
     """base, hip, thigh, shank, foot or other."""
     mesh: Mesh
-    """In the link's frame."""
+    """Mesh in the link's frame."""
     center: Array
     """Centre of the shape in the link's frame, m."""
     body: int
-    """Its contact body."""
+    """Contact body of the part."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,13 +112,13 @@ class Scene:
         self.step_dt = sim.step_dt
         shapes, infos = simulated.shapes(sim), simulated.robots(sim)
         self.outlines = shapes
-        """By robot, its entry of `VecSim.robot_shapes`."""
+        """Entry of `VecSim.robot_shapes` by robot."""
         self.parts = {robot: _parts(shapes[robot]) for robot in sim.robots}
         # without gravity arrows are as long as on Earth
         free_fall = float(np.linalg.norm(sim.gravity)) or _core.EARTH_GRAVITY
         self._weights = {robot: infos[robot]["mass"] * free_fall for robot in sim.robots}
         self.reach = {robot: _reach(sim.link_pose(robot)[0]) for robot in sim.robots}
-        """From the base to the link that is farthest from it as the robot begins, m."""
+        """Distance from the base to the link that is farthest from it as the robot begins, m."""
         if spacing is None or self.obstacles:
             spacing = config["sim"]["env_spacing"]
         self.alone = not self.shared and not self.obstacles

@@ -16,9 +16,9 @@ class Body:
 
     name: str
     source: str
-    """Its name in the library, or the path of its config."""
+    """Name of the robot in the library, or the path of its config."""
     kind: str
-    """Its class: quadruped, biped, humanoid, hexapod ..."""
+    """Class of the body: quadruped, biped, humanoid, hexapod ..."""
     actuator_groups: tuple[str, ...]
     """Names of its groups of actuators."""
     trunk_mass: float
@@ -26,7 +26,7 @@ class Body:
     base_height: float
     """Height of the base in the default pose, m."""
     ranges: Mapping[str, tuple[float, float]]
-    """Its command box: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
+    """Command box of the robot: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
 
     @property
     def is_upright(self) -> bool:

@@ -27,7 +27,7 @@ from polypod.sim2sim.driven import Driven, FoldedPolicy
 from polypod.sim2sim.maker import Choices, Maker
 
 AS_IS = 0
-"""In place of `condim`: contacts of a maker's model as its file has them."""
+"""Value in place of `condim` for contacts of a maker's model as its file has them."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -108,7 +108,7 @@ class Nominal:
     """The robots where nothing is changed."""
 
     robots: dict[str, Body]
-    """By name, in the order of the batch."""
+    """Bodies by name, in the order of the batch."""
     physics_dt: float
     """Physics step of the task, s."""
     columns: npt.NDArray[np.intp]

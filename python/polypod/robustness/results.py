@@ -82,7 +82,7 @@ class Battery:
     """The battery of one policy."""
 
     checkpoint: dict[str, Any]
-    """Its file, as it is shown in commands, and the file's SHA-256."""
+    """File of the checkpoint as commands show it, and the file's SHA-256."""
     command: str
     """The command line that measures the same again."""
     task: str

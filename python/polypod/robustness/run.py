@@ -52,7 +52,7 @@ class Options:
     """`key=value` changes to the task, on top of the run's own and below those of the
     conditions."""
     model: MakersModel | None = None
-    """In place of polypod's robot in MuJoCo."""
+    """Maker's model in place of polypod's robot in MuJoCo."""
 
     def check(self) -> None:
         """Raises ConfigError or UnknownNameError for what cannot be run."""

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from polypod.evaluation.walking import BOX, LEAST_RANGE, SEGMENT_S, SIDE, STOP, TURN, Ranges, Schedule, kinds_of
 
 Commands = Callable[[Ranges, int, int, float, int], Schedule | None]
-"""From a robot's command box, envs, control steps, length of a control step (s) and a seed to the
-commands of its envs; None where the box has no such commands."""
+"""Function of a robot's command box, envs, control steps, length of a control step (s) and a seed.
+Returns the commands of the envs, or None where the box has no such commands."""
 
 TURN_RATE = 0.6
 """Rate of pure turns, rad/s, or the largest of the box."""

@@ -81,6 +81,7 @@ class PolicyManifest(TypedDict):
     rnn_num_layers: NotRequired[Annotated[int, Meta(ge=1, le=8)]]
     joint_dim: NotRequired[Size]
     num_heads: NotRequired[Size]
+    leg_heads: NotRequired[Size]
     observation_layout: NotRequired[list[TermManifest | tuple[Name, Size]]]
     """Manifests of earlier versions hold names and sizes alone."""
     joint_names: NotRequired[list[Name]]

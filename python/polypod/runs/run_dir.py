@@ -416,7 +416,7 @@ def _trained_bodies(sim: _core.VecSim, robots: list[str] | None, overrides: list
 
 
 def _joint_map(info: simulated.RobotInfo) -> list[dict[str, Any]]:
-    """Per slot: name, column, joint, joint index, and whether it turns the other way (-1)."""
+    """Returns name, column, joint, joint index and sign (-1: turns the other way) of each slot."""
     names, joints = info["joint_names"], info["joint_of_slot"]
     rows = zip(info["slots"], info["columns"], joints, info["slot_signs"], strict=True)
     return [

@@ -138,6 +138,8 @@ class CriticConfig:
     """Width of the vector of a joint; networks of joints need it."""
     num_heads: int | None = None
     """Heads of the attention over joints; networks of joints need it."""
+    leg_heads: int | None = None
+    """Heads that look at legs alone, the others at all other limbs; networks of joints may have them."""
     rnn_type: str | None = None
     """Kind of recurrent layer; recurrent networks need it."""
     rnn_hidden_dim: int | None = None
@@ -508,7 +510,7 @@ def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Seq
     from polypod.networks.joints import joint_columns  # its package imports torch
 
     layout = layout_of([term for group in groups for term in terms_of(sim, group)])
-    columns = joint_columns(layout, sim.num_actions)
+    columns = joint_columns(layout, sim.canonical_joint_names)
     # torch divides in float32 too
     scales = (np.float32(1.0) / columns.magnitudes).tolist()
 
@@ -522,6 +524,8 @@ def _native_network(network: CriticConfig, sim: _core.VecSim | None, groups: Seq
         "scales": scales,
         "descriptions": of_rows(columns.descriptions),
         "general": of_rows(columns.general),
+        "leg_heads": network.leg_heads,
+        "legs": columns.legs.tolist(),
     }
     return {**native, "joints": joints}
 

@@ -13,7 +13,7 @@ class Both(Protocol):
 
     @property
     def transfers(self) -> bool:
-        """Whether it does in MuJoCo what it is asked for."""
+        """Whether the policy follows its commands in MuJoCo."""
 
 
 Robot = TypeVar("Robot", bound=Both)

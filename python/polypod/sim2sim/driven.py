@@ -78,7 +78,7 @@ class Drive:
     """A policy that drives a robot, and when it has fallen, on any model of the robot."""
 
     interface: RobotInterface
-    """Between policy and robot."""
+    """Interface between policy and robot."""
     policy: FoldedPolicy
     """Folded for the robot."""
     step_dt: float
@@ -142,7 +142,7 @@ class Driven:
         self._fresh = True
         self.actions = np.zeros((self.num_envs, self.interface.num_actions), dtype=np.float32)
         self.qpos = np.zeros((self.num_envs, 7 + robot.num_joints))
-        """In polypod's order of joints; positions about the envs' origins."""
+        """Positions in polypod's order of joints, about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))
         self.base_axes: Array = np.eye(3)
         """[3, 3], turns vectors of polypod's base frame into that of the model's base."""

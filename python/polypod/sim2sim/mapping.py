@@ -660,7 +660,7 @@ def right_angles() -> list[Array]:
 
 
 def quaternion_of(turn: Array) -> Array:
-    """[4], w, x, y, z of a turn [3, 3]."""
+    """Quaternion [4], w, x, y, z, of a rotation matrix [3, 3]."""
     mj = mujoco()
     quaternion = np.zeros(4)
     mj.mju_mat2Quat(quaternion, np.ascontiguousarray(turn, dtype=np.float64).ravel())

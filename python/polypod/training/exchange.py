@@ -15,6 +15,9 @@ class Exchange:
     Graphs of the device read and write `inputs`, `observed` and `drawn`, so these tensors stay.
     """
 
+    flows = False
+    """Whether the host goes on while a control step is made; else it waits for the actions."""
+
     def __init__(self, env: VecEnv, steps: int) -> None:
         """Reserves memory for an iteration of `steps` control steps of `env`."""
         observed, device = env.get_observations(), torch.device(env.device)
@@ -45,3 +48,50 @@ class Exchange:
         """Takes a control step with the fetched actions, the number `step` of the iteration."""
         for told, figure in zip(self.told.values(), self._env.step_on_host(self._actions), strict=True):
             told[step].copy_(tensor_over(np.asarray(figure)))
+
+
+class CardExchange(Exchange):
+    """The same where the simulator makes whole control steps on the learner's card.
+
+    Observations and actions are the simulator's own arrays. The host queues the steps of an
+    iteration and waits for none of them.
+    """
+
+    flows = True
+
+    def __init__(self, env: VecEnv, steps: int) -> None:
+        """Finds the simulator's arrays, and reserves memory for what an iteration tells."""
+        super().__init__(env, steps)
+        assert env.card is not None
+        self._card, self._limit = env.card, env.clip_actions
+        self.inputs = env.observed_on_card()
+        self.observed = TensorDict({**self.observed, **self.inputs}, batch_size=[env.num_envs], device=env.device)
+        if self._limit is None:
+            self.drawn = self._card["actions"]
+        self.on_host = self.told
+        """`told` of the last iteration in the memory of the CPU, see `fetch_told`."""
+        self.told = {name: torch.zeros_like(tensor, device=env.device) for name, tensor in self.on_host.items()}
+        self._is_late = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
+
+    def observe(self) -> None:
+        """Brings the state to the card where it is not: the observations are there then."""
+        if not self._env.has_state_on_card:
+            super().observe()
+
+    def fetch_actions(self) -> None:
+        """Hands the drawn actions to the simulator, within their limit."""
+        if self._limit is not None:
+            torch.clamp(self.drawn, -self._limit, self._limit, out=self._card["actions"])
+
+    def step(self, step: int) -> None:
+        """Begins a control step with these actions, the number `step` of the iteration."""
+        self._env.step_on_card()
+        terminated, truncated = self._card["terminated"], self._card["truncated"]
+        self.told["rewards"][step].copy_(self._card["reward"])
+        self.told["dones"][step].copy_(torch.logical_or(terminated, truncated, out=self._is_late))
+        self.told["time_outs"][step].copy_(torch.gt(truncated, terminated, out=self._is_late))
+
+    def fetch_told(self) -> None:
+        """Begins to copy what the steps told to `on_host`."""
+        for name, tensor in self.on_host.items():
+            tensor.copy_(self.told[name], non_blocking=True)

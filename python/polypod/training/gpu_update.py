@@ -129,13 +129,20 @@ class Update:
         """Mean and deviation over a mini-batch of several workers."""
         self._graphs = Graphs(device, self._changed, workers.count == 1)
 
-    def run(self, learning_rate: float, entropy_coef: float, desired_kl: float | None) -> dict[str, float]:
+    def run(
+        self,
+        learning_rate: float,
+        entropy_coef: float,
+        desired_kl: float | None,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> dict[str, float]:
         """Learns from the samples, and takes their observations into the networks' statistics.
 
         Args:
             learning_rate: to begin with.
             entropy_coef: weight of the entropy.
             desired_kl: divergence that an adaptive learning rate follows; None: it stays.
+            meanwhile: is called when all steps are queued, before the device is waited for.
 
         Returns:
             The mean losses `value`, `surrogate` and `entropy`, and the `learning_rate` to go on
@@ -164,6 +171,8 @@ class Update:
             observations = self._observations(torch.arange(len(samples["actions"]), device=self._device))
             for network in self._networks:
                 update_normalization(network, observations)
+        if meanwhile is not None:
+            meanwhile()
         value, surrogate, entropy, rate = torch.cat([self._losses, self._rate.view(1)]).tolist()
         if not np.isfinite([value, surrogate, entropy]).all():
             raise _core.ConfigError(

@@ -45,7 +45,12 @@ class GraphRunner(Runner):
         return observations
 
     def _update(self, observations: TensorDict) -> dict[str, float]:
-        loss = self._update_of.run(self.alg.learning_rate, self.alg.entropy_coef, self.alg.desired_kl)
+        loss = self._update_of.run(
+            self.alg.learning_rate,
+            self.alg.entropy_coef,
+            self.alg.desired_kl,
+            meanwhile=lambda: self._rollout.log(self.logger),
+        )
         self.alg.learning_rate = loss.pop("learning_rate")
         return loss
 

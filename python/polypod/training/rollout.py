@@ -1,8 +1,9 @@
 """Rollouts of a policy on a GPU: each control step is one launch of a CUDA graph.
 
-Observations go to the device and actions come back through pinned memory. Everything else of a step
-stays where it is until the iteration ends: rewards and ends of episodes on the host, samples on the
-device.
+Where the simulator makes whole control steps on the learner's card, all of a step stays there, and
+the host queues the steps of an iteration ahead. Else observations go to the device and actions come
+back through pinned memory, and everything else of a step stays where it is until the iteration
+ends: rewards and ends of episodes on the host, samples on the device.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from polypod.rsl_rl import VecEnv
 from polypod.runs.schema import TrainConfig
 from polypod.training import deviations
 from polypod.training.advantages import EPSILON, normalize_per_robot
-from polypod.training.exchange import Exchange
+from polypod.training.exchange import CardExchange, Exchange
 from polypod.training.gpu_update import Samples, ask_policy
 from polypod.training.graphs import Graphs
 from polypod.training.logger import TrainingLogger
@@ -47,7 +48,7 @@ class Rollout(Samples):
         """
         device, steps = env.device, config.run.num_steps_per_env
         batches = config.algorithm.num_mini_batches
-        self._exchange = Exchange(env, steps)
+        self._exchange = Exchange(env, steps) if env.card is None else CardExchange(env, steps)
         super().__init__(self._exchange.widths, env.num_actions, steps * env.num_envs, device)
         self._actor, self._critic, self._env, self._algorithm = alg.actor, alg.critic, env, config.algorithm
         self._is_per_robot = config.run.normalize_advantage_per_robot
@@ -77,17 +78,27 @@ class Rollout(Samples):
             exchange.observe()
             self._graphs.run("act", self._act)
             exchange.fetch_actions()
-            self._log(logger, step - 1)  # while the device computes
-            self._synchronize()
+            if not exchange.flows:
+                self._log(logger, told, step - 1)  # while the device computes
+                self._synchronize()
             exchange.step(step)
         exchange.observe()
         for name, received in self._received.items():
             received.copy_(told[name], non_blocking=True)
-        self._log(logger, self._shape[0] - 1)
+        if isinstance(exchange, CardExchange):
+            exchange.fetch_told()
+        else:
+            self._log(logger, told, self._shape[0] - 1)
         check_nan(TensorDict(self.observations), told["rewards"], told["dones"])
         check_nan(exchange.observed, told["rewards"], told["dones"])
         self._run_alone("estimate", self._estimate)
         self._draw_order()
+
+    def log(self, logger: TrainingLogger) -> None:
+        """Tells `logger` of the steps, where `collect` has not: the device learns meanwhile."""
+        if isinstance(self._exchange, CardExchange):
+            for step in range(self._shape[0]):
+                self._log(logger, self._exchange.on_host, step)
 
     def deviations_of_actions(self) -> torch.Tensor:
         """Deviations of the last step's actions that are a network's output, [n].
@@ -173,9 +184,8 @@ class Rollout(Samples):
         scale = self._reward_scale
         return [self._step, *([] if scale is None else scale.state().values())]
 
-    def _log(self, logger: TrainingLogger, step: int) -> None:
+    def _log(self, logger: TrainingLogger, told: dict[str, torch.Tensor], step: int) -> None:
         if step >= 0:
-            told = self._exchange.told
             logger.process_env_step(told["rewards"][step], told["dones"][step], {})
 
     def _synchronize(self) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 import polypod
-from polypod import _core, quick_start, text
+from polypod import _core, quick_start, simulated, text
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions import tracking
 from polypod.python_terms import Terms, load
@@ -210,10 +210,13 @@ def train_with(
                 runner.start_from(options.init)
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         among = f", each of {workers.count} workers" if workers.count > 1 else ""
+        learner = _learner(run_config.learner, device, vec_env.card is not None)
         reporter.message(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
-            f"simulator {env.sim.threads} threads{among}, {_learner(run_config.learner, device)}; {run}"
+            f"simulator {env.sim.threads} threads{among}, {learner}; {run}"
         )
+        if (why := _why(env.sim)) is not None:
+            reporter.message(f"polypod: {why}")
         runner.logger.open(
             options.logger if workers.is_first else "none",
             runner.current_learning_iteration,
@@ -445,7 +448,8 @@ def runner_of(
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
         return NativeRunner(env, train_config, run, device, reporter, workers)
     quick_start.import_compiler()
-    if train_config.run.learner == "native":
+    # a policy that acts where the simulator's steps are: nothing of a step leaves the card
+    if train_config.run.learner == "native" and not (env.card is not None and train_config.can_be_graphs):
         return GpuRunner(env, train_config, run, device, reporter, workers)
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
@@ -457,7 +461,18 @@ def runner_of(
     return runner
 
 
-def _learner(learner: str, device: str) -> str:
+def _why(sim: _core.VecSim) -> str | None:
+    """Why the CPU or a card makes the control steps, where the task's engine leaves that open."""
+    engine = simulated.config(sim)["task"].get("physics", {}).get("engine")
+    if engine == "auto" and (choice := sim.choice_of_engine) is not None:
+        return f"{ENGINE}auto: {choice}"
+    lacks = sim.lacks_on_device() if engine == "cuda" else None
+    return f"{ENGINE}cuda: the CPU makes all but the physics: no form on the card has {lacks}" if lacks else None
+
+
+def _learner(learner: str, device: str, has_steps_on_card: bool) -> str:
+    if has_steps_on_card:
+        return f"its steps, the policy and the {learner} learner's update on {torch.cuda.get_device_name(device)}"
     if learner == "native":
         of_update = "" if device == "cpu" else f", its update on {torch.cuda.get_device_name(device)}"
         return f"native learner on the same{of_update}"

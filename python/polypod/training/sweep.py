@@ -99,7 +99,7 @@ class Trial:
 
     @property
     def run(self) -> Path:
-        """Its directory."""
+        """Directory of the trial's run."""
         assert self.options.run is not None
         return self.options.run
 
@@ -201,7 +201,7 @@ def run(sweep: Sweep, reporter: Reporter) -> int:
 
 
 def train(trial: Trial, watch: Any = None) -> int | None:
-    """Trains what is left of a trial, and evaluates it.
+    """Trains the rest of a trial, and evaluates it.
 
     Returns the signal that stopped it, if one did.
     """

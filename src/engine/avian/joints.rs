@@ -62,9 +62,9 @@ pub(super) struct JointNumbers {
     lower: f32,
     upper: f32,
     velocity_limit: f32,
-    /// From the parent's origin to the anchor, in its axes, m.
+    /// Way from the parent's origin to the anchor, in the parent's axes, m.
     offset: Vec3,
-    /// From the centre of mass of the parent and of the child to the anchor, in the link's axes, m.
+    /// Ways from the centres of mass of parent and child to the anchor, in the link's axes, m.
     anchors: [Vec3; 2],
 }
 
@@ -95,9 +95,9 @@ impl JointNumbers {
 /// Where a joint's parts are, in world axes.
 #[derive(Clone, Copy, Default)]
 struct Geometry {
-    /// From the parent's anchor to the child's, m.
+    /// Way from the parent's anchor to the child's, m.
     gap: Vec3,
-    /// From the links' centres of mass to their anchors, m.
+    /// Ways from the links' centres of mass to their anchors, m.
     arms: [Vec3; 2],
     /// The axis as the parent and the child have it.
     axes: [Vec3; 2],
@@ -150,7 +150,7 @@ pub(super) struct Joint {
     now: Geometry,
     /// Position in the present substep, rad.
     angle: f32,
-    /// From the parent's reference point to its anchor, m.
+    /// Way from the parent's reference point to its anchor, m.
     reach: Vec3,
     /// Inertia of the child and all that it carries, about the anchor, with the joint free to give
     /// way.
@@ -203,7 +203,7 @@ pub(super) struct LinkPose {
 /// External force and torque on a base, base axes.
 #[derive(Clone, Copy, Default, PartialEq)]
 pub(super) struct Wrench {
-    /// At the centre of mass, N.
+    /// Force at the centre of mass, N.
     pub(super) force: Vec3,
     /// Torque, N m.
     pub(super) torque: Vec3,
@@ -216,7 +216,7 @@ pub(super) struct Pull {
     pub(super) body: usize,
     /// Whether the wrench is in world axes; else it turns with the link.
     pub(super) in_world: bool,
-    /// From the link's centre of mass to where the force acts, link axes, m.
+    /// Way from the link's centre of mass to where the force acts, link axes, m.
     pub(super) arm: Vec3,
     pub(super) wrench: Wrench,
 }

@@ -23,7 +23,7 @@ pub(super) struct LinkCollider {
     /// Distance from the ground at which contact begins, m.
     pub(super) margin: f32,
     pub(super) collider: Collider,
-    /// Its frame in that of the link, whose axes are the engine's.
+    /// Origin of the collider in the frame of the link, whose axes are the engine's.
     pub(super) translation: Vec3,
     pub(super) rotation: Quat,
 }

@@ -57,9 +57,9 @@ struct FirstSubstep(bool);
 /// Impulses of the contact constraints on their robots, in the order of the constraint graph.
 #[derive(Resource, Default)]
 struct Impulses {
-    /// Over the physics step, N s.
+    /// Impulses over the physics step, N s.
     sum: Vec<Vec3>,
-    /// In the last substep, N s.
+    /// Impulses in the last substep, N s.
     last: Vec<Vec3>,
 }
 

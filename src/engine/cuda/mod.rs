@@ -31,8 +31,8 @@ pub use polypod_cuda::search_packages;
 pub fn describe_card() -> String {
     match polypod_cuda::find() {
         Ok(Found { name, driver, memory }) => format!(
-            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and next \
-             to the CPU, where that is faster, with physics.engine=auto",
+            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and alone \
+             or next to the CPU, where that is faster, with physics.engine=auto",
             memory >> 30,
             driver / 1000,
             driver % 1000 / 10
@@ -131,6 +131,7 @@ impl EngineFactory for OnDevice {
             trial: placed.as_ref().filter(|_| self.if_faster).map(|placed| Trial::new(placed.shares())),
             placed,
             shares: self.if_faster,
+            waits: false,
             times: timed.then(Times::default),
         };
         Ok(Box::new(engine))
@@ -161,6 +162,8 @@ struct DeviceEngine {
     trial: Option<Trial>,
     /// Whether the CPU may take a share.
     shares: bool,
+    /// Whether it takes all robots, until it is known whether whole steps on the device are faster.
+    waits: bool,
     times: Option<Times>,
 }
 
@@ -275,7 +278,8 @@ impl Engine for DeviceEngine {
 
     fn step(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>, run: Run) -> Vec<DivergenceRecord> {
         let whole = |placed: &Placed| run.gains && run.steps == placed.settings.decimation;
-        let number = if self.placed.as_ref().is_some_and(whole) { self.next_on_device() } else { 0 };
+        let may_start = self.placed.as_ref().is_some_and(whole) && !self.waits;
+        let number = if may_start { self.next_on_device() } else { 0 };
         let Self { on_cpu, placed, times, .. } = self;
         let Some(Placed { device, settings, heights, robots: of_all, order }) = placed.as_mut().filter(|_| number > 0)
         else {
@@ -320,8 +324,7 @@ impl Engine for DeviceEngine {
     }
 
     fn whole_steps(&mut self) -> Option<&mut dyn WholeSteps> {
-        // where the CPU may take a share of the robots, their state is on the host
-        (self.placed.is_some() && self.trial.is_none() && !self.shares).then_some(self)
+        self.placed.is_some().then_some(self)
     }
 }
 

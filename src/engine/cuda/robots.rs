@@ -293,9 +293,10 @@ impl Robots {
     ///
     /// # Errors
     /// A device that is lost.
-    pub(super) fn record(&mut self, robot: usize) -> Result<(DivergenceRecord, u32), DeviceError> {
+    pub(super) fn record(&mut self, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError> {
         let (shape, joints, ages) = (self.block.shape().of_one(), self.topology.num_joints(), self.ages);
-        let mut kept = self.block.envs().map_or_else(|| Ok(vec![0.0; shape.kept()]), |envs| envs.kept(robot))?;
+        let kept = self.block.envs().map_or(Ok(None), |envs| envs.kept(robot))?;
+        let Some(mut kept) = kept else { return Ok(None) };
         let (before, after) = kept.split_at_mut(shape.exchanged());
         let (after, length) = after.split_at_mut(shape.exchanged());
         let (before, after) = (shape.exchange(before), shape.exchange(after));
@@ -316,7 +317,7 @@ impl Robots {
             link_forces: LinkForces::default(),
             after: motion(&after, joints),
         };
-        Ok((record, length[0] as u32))
+        Ok(Some((record, length[0] as u32)))
     }
 
     /// Parts of at most some robots each.
@@ -382,7 +383,7 @@ impl Robots {
         }
         if self.task.as_ref() != Some(&task) {
             if let Some(envs) = self.block.envs() {
-                envs.place(task.clone())?;
+                envs.place(task.clone(), self.envs.start)?;
             }
             self.task = Some(task);
         }

@@ -19,7 +19,8 @@ pub(super) struct Trial {
     ways: Vec<usize>,
     steps: usize,
     begun: Option<Instant>,
-    /// From one step's beginning to the next one's: the rows' memory costs the rest of a step too.
+    /// Times from one step's beginning to the next one's: the rows' memory costs the rest of a step
+    /// too.
     times: Vec<Vec<Duration>>,
 }
 

@@ -1,6 +1,6 @@
 //! Whole control steps on the device: the robots' state stays there.
 
-use polypod_cuda::{DeviceBlock, DeviceError, EnvBlock, EnvHost, TaskTables};
+use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Flow, RowSizes, TaskTables, Told};
 
 use super::robots::{self, Means, Robots};
 use super::{DeviceEngine, Placed};
@@ -22,10 +22,27 @@ pub trait WholeSteps {
         workers: &Workers,
         robots: BlockList<RobotSlices<'_>>,
         tasks: Vec<TaskTables>,
+        sizes: RowSizes,
     ) -> Result<bool, DeviceError>;
+
+    /// Whether steps of the host may share the robots between the device and the CPU, as is
+    /// fastest: then somebody must time whether whole steps on the device are faster.
+    fn may_share(&self) -> bool;
+
+    /// Lets steps of the host share the robots, or leaves all robots to the CPU in such steps.
+    fn share(&mut self, share: bool);
+
+    /// The device, which has the arrays of all envs.
+    ///
+    /// # Errors
+    /// A device that is lost.
+    fn device(&self) -> Result<&dyn Device, DeviceError>;
 
     /// The host's side of each block.
     fn hosts(&mut self) -> Vec<EnvHost<'_>>;
+
+    /// Flags and ended episodes of each block in the control step of a slot, which has ended.
+    fn told(&mut self, slot: usize) -> Vec<Told<'_>>;
 
     /// Sends all to the device.
     ///
@@ -34,17 +51,18 @@ pub trait WholeSteps {
     fn upload(&mut self) -> Result<(), DeviceError>;
 
     /// Makes a whole control step of all envs, and keeps the states of the blocks that are watched.
+    /// Waits for it unless it flows.
     ///
     /// # Errors
     /// A device that is lost.
-    fn step(&mut self, watched: &[bool]) -> Result<(), DeviceError>;
+    fn step(&mut self, watched: &[bool], flow: Option<Flow>) -> Result<(), DeviceError>;
 
-    /// The record of a robot of a watched block whose state broke in the last control step, and the
-    /// length of its episode before.
+    /// The record of a robot of a watched block whose state broke, and the length of its episode
+    /// before; `None` if it was not watched. The block is no longer watched.
     ///
     /// # Errors
     /// A device that is lost.
-    fn record(&mut self, block: usize, robot: usize) -> Result<(DivergenceRecord, u32), DeviceError>;
+    fn record(&mut self, block: usize, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError>;
 
     /// Brings everything to the host's side, and writes the robots' components.
     ///
@@ -53,18 +71,13 @@ pub trait WholeSteps {
     fn leave(&mut self, workers: &Workers, robots: BlockList<RobotSlices<'_>>) -> Result<(), DeviceError>;
 }
 
-/// The error of a device that does not know envs.
-fn no_envs() -> DeviceError {
-    DeviceError::Call { call: "envs", text: "the device makes no whole control steps".into() }
-}
-
 fn envs(block: &mut dyn DeviceBlock) -> Result<&mut dyn EnvBlock, DeviceError> {
-    block.envs().ok_or_else(no_envs)
+    block.envs().ok_or_else(DeviceError::no_envs)
 }
 
 impl DeviceEngine {
     fn placed(&mut self) -> Result<&mut Placed, DeviceError> {
-        self.placed.as_mut().ok_or_else(no_envs)
+        self.placed.as_mut().ok_or_else(DeviceError::no_envs)
     }
 }
 
@@ -74,6 +87,7 @@ impl WholeSteps for DeviceEngine {
         workers: &Workers,
         blocks: BlockList<RobotSlices<'_>>,
         tasks: Vec<TaskTables>,
+        sizes: RowSizes,
     ) -> Result<bool, DeviceError> {
         let Placed { device, settings, heights, robots, .. } = self.placed()?;
         let means = Means { device: &**device, settings, heights: heights.as_ref(), workers };
@@ -81,6 +95,7 @@ impl WholeSteps for DeviceEngine {
         if blocks.iter().any(|block| block.rows.link_forces.iter().any(|forces| !forces.0.is_empty())) {
             return Ok(false);
         }
+        device.place_rows(sizes)?;
         for (robots, task) in robots.iter_mut().zip(tasks) {
             robots.place(&means, task)?;
         }
@@ -88,6 +103,23 @@ impl WholeSteps for DeviceEngine {
         robots::read_efforts(workers, robots.iter_mut().zip(&mut blocks).collect());
         robots.iter_mut().try_for_each(Robots::send_parameters)?;
         Ok(true)
+    }
+
+    fn may_share(&self) -> bool {
+        self.shares
+    }
+
+    fn share(&mut self, share: bool) {
+        self.waits = self.shares && !share;
+    }
+
+    fn device(&self) -> Result<&dyn Device, DeviceError> {
+        self.placed.as_ref().map(|placed| &*placed.device).ok_or_else(DeviceError::no_envs)
+    }
+
+    fn told(&mut self, slot: usize) -> Vec<Told<'_>> {
+        let robots = self.placed.iter_mut().flat_map(|placed| &mut placed.robots);
+        robots.filter_map(|robots| robots.device_block().envs()?.told(slot)).collect()
     }
 
     fn hosts(&mut self) -> Vec<EnvHost<'_>> {
@@ -100,23 +132,26 @@ impl WholeSteps for DeviceEngine {
         robots.iter_mut().try_for_each(|robots| envs(robots.device_block())?.upload())
     }
 
-    fn step(&mut self, watched: &[bool]) -> Result<(), DeviceError> {
+    fn step(&mut self, watched: &[bool], flow: Option<Flow>) -> Result<(), DeviceError> {
         let Placed { device, robots, order, .. } = self.placed()?;
         for &place in &*order {
             let envs = envs(robots[place].device_block())?;
             envs.watch(watched.get(place).copied().unwrap_or(false))?;
-            envs.start()?;
+            envs.start(flow.map(|flow| flow.slot))?;
         }
-        device.step_envs()?;
-        if let Some(times) = &mut self.times {
+        device.step_envs(flow)?;
+        if let Some(times) = self.times.as_mut().filter(|_| flow.is_none()) {
             times.steps += 1;
             times.kernel += self.placed.as_ref().and_then(|placed| placed.device.seconds()).unwrap_or(0.0);
         }
         Ok(())
     }
 
-    fn record(&mut self, block: usize, robot: usize) -> Result<(DivergenceRecord, u32), DeviceError> {
-        self.placed()?.robots[block].record(robot)
+    fn record(&mut self, block: usize, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError> {
+        let robots = &mut self.placed()?.robots[block];
+        let record = robots.record(robot)?;
+        envs(robots.device_block())?.watch(false)?;
+        Ok(record)
     }
 
     fn leave(&mut self, workers: &Workers, blocks: BlockList<RobotSlices<'_>>) -> Result<(), DeviceError> {

@@ -7,6 +7,7 @@
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,132 @@ def test_the_engine_compiles_with_the_flags_whose_result_is_read() -> None:
     assert arch == "--gpu-architecture=compute_80"
     assert tuple(flags) == ptx.FLAGS
     assert f'".version {ptx.OLDEST["compute_80"]}"' in source
+
+
+def test_steps_on_a_card_need_arrays_there() -> None:
+    sim = VecSim("velocity_flat", 8)
+    assert sim.device_arrays() is None
+    with pytest.raises(ConfigError, match="there are no arrays on a device"):
+        sim.step_device()
+    # and nothing has changed
+    other = VecSim("velocity_flat", 8)
+    for action in actions(sim, 3):
+        sim.step(action)
+        other.step(action)
+    assert sim.snapshot() == other.snapshot()
+
+
+@pytest.mark.cuda
+@pytest.mark.parametrize("task", ["velocity_flat", "velocity_flat_legged"])
+def test_steps_whose_arrays_never_leave_the_card(card: str, task: str) -> None:
+    torch = pytest.importorskip("torch")
+    cpu, gpu = pair(task, 480, SHORT)
+    arrays = gpu.device_arrays()
+    assert arrays is not None
+    shared = {name: torch.from_dlpack(array) for name, array in arrays.items()}
+    for name, array in arrays.items():
+        other = torch.as_tensor(array, device="cuda")
+        assert other.data_ptr() == shared[name].data_ptr() == array.address, name
+        assert list(other.shape) == array.shape
+        assert str(other.dtype) == f"torch.{array.dtype}"
+    streams, ended = [torch.cuda.current_stream(), torch.cuda.Stream()], 0
+    for step, action in enumerate(actions(cpu, 120)):
+        cpu.step(action)
+        # streams take turns, each with work that the step must wait for
+        stream = streams[step % 2]
+        with torch.cuda.stream(stream):
+            torch.cuda._sleep(1_000_000)
+            shared["actions"].copy_(torch.from_numpy(action), non_blocking=True)
+            gpu.step_device(stream.cuda_stream)
+            kept = {name: tensor.clone() for name, tensor in shared.items()}
+        stream.synchronize()
+        ended += int(cpu.terminated.sum() + cpu.truncated.sum())
+        for name in ("observation", "reward", "terminated", "truncated", "command"):
+            assert kept[name].cpu().numpy().tobytes() == getattr(cpu, name).tobytes(), f"{task}, step {step}: {name}"
+        if step % 40 == 20:
+            for name in ("observation", "reward", "terminated", "final_mask", "final_obs"):
+                assert getattr(gpu, name).tobytes() == getattr(cpu, name).tobytes(), f"{task}, step {step}: {name}"
+        if step == 60:
+            assert cpu.snapshot() == gpu.snapshot()
+        if step == 75:
+            cpu.step(action)
+            gpu.step(action)
+    assert ended >= 100, f"{ended} episodes ended"
+    assert gpu.steps_on_device == 121
+    assert cpu.log() == gpu.log()
+    assert cpu.snapshot() == gpu.snapshot()
+    # the memory outlives the simulator
+    last = shared["observation"].clone()
+    del gpu, arrays
+    assert torch.equal(shared["observation"], last)
+
+
+@pytest.mark.cuda
+def test_many_steps_in_flight_have_the_bits_of_single_ones(card: str) -> None:
+    torch = pytest.importorskip("torch")
+    cpu, gpu = pair("velocity_flat", 2048, SHORT)
+    arrays = gpu.device_arrays()
+    assert arrays is not None
+    given, observed = (torch.from_dlpack(arrays[name]) for name in ("actions", "observation"))
+    weights = torch.from_numpy(np.random.default_rng(0).standard_normal((observed.shape[1], given.shape[1])))
+    drawn = weights.to("cuda", torch.float32) * 0.1
+    stream, taken = torch.cuda.current_stream(), []
+    for _ in range(200):
+        torch.matmul(observed, drawn, out=given).clamp_(-2.0, 2.0)
+        taken.append(given.clone())
+        gpu.step_device(stream.cuda_stream)
+    for action in taken:
+        cpu.step(action.cpu().numpy())
+    assert cpu.snapshot() == gpu.snapshot()
+    assert cpu.log() == gpu.log()
+    assert cpu.episode_stats() == gpu.episode_stats()
+
+
+@pytest.mark.cuda
+def test_actions_that_are_no_numbers_are_refused_some_steps_later(card: str) -> None:
+    torch = pytest.importorskip("torch")
+    gpu = VecSim("velocity_flat", 64, overrides=[CUDA])
+    arrays = gpu.device_arrays()
+    assert arrays is not None
+    given = torch.from_dlpack(arrays["actions"])
+    given.zero_()
+    given[9, 2] = float("nan")
+    gpu.step_device(torch.cuda.current_stream().cuda_stream)
+    with pytest.raises(ConfigError, match="an action of env 9 was not a number"):
+        _ = gpu.observation
+    assert np.isfinite(gpu.observation).all()
+
+
+@pytest.mark.cuda
+def test_a_training_on_the_card_has_the_bits_of_one_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, card: str
+) -> None:
+    torch = pytest.importorskip("torch")
+    from polypod.rsl_rl import VecEnv
+    from polypod.training.session import Options, train_with
+    from polypod.training.workers import Workers
+
+    def train(name: str, engine: str) -> tuple[list[bytes], bytes]:
+        options = Options(
+            task="velocity_flat",
+            num_envs=256,
+            max_iterations=3,
+            learner="rsl_rl",
+            logger="none",
+            run_name=name,
+            log_dir=tmp_path,
+            device="cuda",
+            overrides=[*SHORT, f"physics.engine={engine}"],
+        )
+        _, runner = train_with(options, Workers.alone())
+        sim = runner.env.unwrapped.sim
+        assert (runner.env.card is not None) == (sim.steps_on_device > 0)
+        return [weights.detach().cpu().numpy().tobytes() for weights in runner.alg.actor.parameters()], sim.snapshot()
+
+    on_card = train("card", "cuda")
+    assert torch.cuda.is_available()
+    monkeypatch.setattr(VecEnv, "_find_card", lambda _: None)
+    assert train("beside", "articulated") == on_card
 
 
 @pytest.mark.cuda

@@ -58,6 +58,13 @@ def effort(env):
     return env.joint_effort
 
 
+def test_no_step_goes_past_the_terms():
+    sim = make([height]).sim
+    assert sim.device_arrays() is None
+    with pytest.raises(polypod.ConfigError, match="terms in Python take part"):
+        sim.step_device()
+
+
 def test_columns_follow_the_task_s_own_in_every_view_of_the_env():
     env = make([height])
     plain = make(None)

@@ -28,7 +28,7 @@ def of_stub() -> dict[str, str]:
         for member, following in itertools.zip_longest(body, body[1:]):
             if isinstance(member, ast.FunctionDef) and member.name == "__init__":
                 found[node.name] += f"\n\n{ast.get_docstring(member)}"
-            elif isinstance(member, ast.FunctionDef):
+            elif isinstance(member, ast.FunctionDef) and not member.name.startswith("__"):
                 found.setdefault(f"{node.name}.{member.name}", ast.get_docstring(member) or "")
             elif isinstance(member, ast.AnnAssign) and isinstance(member.target, ast.Name):
                 has_text = isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)

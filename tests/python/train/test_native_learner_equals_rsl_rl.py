@@ -62,6 +62,8 @@ VARIANTS = {
     "joints_mirror_images": {"actor": JOINTS, "run": {"symmetry": True}},
     "masked_joints": {"actor": {**JOINTS, "init_std": 1.5}, "critic": {**JOINTS, "joint_dim": 8}},
     "masked_joints_entropy": {"actor": {**JOINTS, "init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
+    "joints_of_legs": {"actor": {**JOINTS, "leg_heads": 7}, "critic": {**JOINTS, "leg_heads": 12}},
+    "masked_joints_of_legs": {"actor": {**JOINTS, "init_std": 1.5, "leg_heads": 7}},
     # a critic that sees more than the policy, which remembers
     "groups": {"run": {"task": "velocity_flat_any_legged"}, "actor": JOINTS, "obs_groups": GROUPS},
     "masked_groups": {"run": {"task": "velocity_flat_any_legged"}, "actor": JOINTS, "obs_groups": GROUPS},

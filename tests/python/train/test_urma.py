@@ -31,6 +31,7 @@ TASK = "velocity_flat_joints"
 FOLDER = ROOT / "tests/data/bodies/configs/robots"
 BODIES = ["unitree_go2", *(str(FOLDER / f"small_{kind}.toml") for kind in ("biped", "hexapod", "quadruped"))]
 """With 12, 8, 18 and 8 joints, 38 slots in all."""
+SLOTS = [f"J{joint}" for joint in range(12)]
 GENERAL, STATES, NUMBERS = 12, 3, 19
 """Layout of the task: numbers that belong to no joint, numbers of a joint's state, numbers of its
 description."""
@@ -100,9 +101,10 @@ def network_of(env, **changes):
     return network.eval()
 
 
-def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero():
+@pytest.mark.parametrize("leg_heads", [None, 3])
+def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero(leg_heads):
     env = mixed_env()
-    network = network_of(env)
+    network = network_of(env, leg_heads=leg_heads)
     together = actions_of(network, env.sim.observation.copy())
     mask = torch.from_numpy(env.action_mask)
     assert (mask.sum(1).numpy() == np.repeat([12, 8, 18, 8], 3)).all()
@@ -115,17 +117,51 @@ def test_a_robot_acts_in_company_as_it_does_alone_and_what_it_lacks_is_zero():
         # and where there are no slots but its own
         own = [name for name, real in zip(env.canonical_joint_names, mask[rows.start], strict=True) if real]
         keep = torch.cat([torch.ones(GENERAL, dtype=torch.bool), mask[rows.start].repeat(STATES + NUMBERS)])
-        small = build(len(own), joint_names=own, obs_normalization=True)
+        small = build(len(own), joint_names=own, obs_normalization=True, leg_heads=leg_heads)
         small.load_state_dict(network.state_dict(), strict=True)
         observation = torch.from_numpy(env.sim.observation[rows])[:, keep]
         torch.testing.assert_close(actions_of(small, observation), alone[:, mask[rows.start]], rtol=1e-5, atol=1e-6)
     env.close()
 
 
-def test_a_robot_without_joints_takes_no_actions():
+def test_heads_of_legs_read_the_same_whatever_other_limbs_a_body_has():
+    legs = ["L_HIP_PITCH", "R_HIP_PITCH", "L_KNEE", "R_KNEE"]
+    names = [*legs, "TORSO_YAW", "HEAD_YAW", "ARM_ROLL_2", "L_SHOULDER_ROLL", "R_ELBOW", "L_WRIST_YAW"]
+    whole = observations_of(4, len(names))
+    bare = whole.clone()
+    bare[:, GENERAL:] *= torch.tensor([name in legs for name in names]).repeat(STATES + NUMBERS)
+    network = build(len(names), joint_names=names, leg_heads=3).mlp
+    alone = build(len(legs), joint_names=legs, leg_heads=3).mlp
+    alone.load_state_dict(network.state_dict())
+    keep = torch.cat([torch.ones(GENERAL, dtype=torch.bool), bare[0, GENERAL:] != 0.0])
+    readings = []
+    for of, observations in ((network, whole), (network, bare), (alone, bare[:, keep])):
+        with torch.no_grad():
+            joints = of._joints(observations)
+            description = of.describe(joints.descriptions)
+            code = torch.sin(of.code(joints.relative))
+            shares = of._shares(joints.at_places(of.attention(description) + of.focus(code)), joints)
+            state = of.activation(of.state(joints.states) + of.state_by_description(description))
+            gathered = torch.matmul(shares.transpose(1, 2), joints.at_places(of.value(state)))
+        codes = joints.at_places(code)[:, : len(legs)]
+        readings.append((codes, gathered[:, :3], gathered[:, 3:]))
+    for codes, of_legs, of_others in readings[1:]:
+        torch.testing.assert_close(codes, readings[0][0], rtol=1e-6, atol=1e-6)
+        torch.testing.assert_close(of_legs, readings[0][1], rtol=1e-6, atol=1e-6)
+        assert (of_others == 0.0).all()
+    assert (readings[0][2] != 0.0).all()
+    # and a network without heads of legs does not
+    plain = build(len(names), joint_names=names).mlp
+    with torch.no_grad():
+        assert not torch.allclose(plain._joints(whole).relative[:4], plain._joints(bare).relative[:4], atol=1e-2)
+
+
+@pytest.mark.parametrize("leg_heads", [None, 3])
+def test_a_robot_without_joints_takes_no_actions(leg_heads):
     observations = observations_of(3, 5)
     observations[:, GENERAL:] = 0.0
-    assert (actions_of(build(5, obs_normalization=True), observations) == 0.0).all()
+    network = build(5, obs_normalization=True, leg_heads=leg_heads)
+    assert (actions_of(network, observations) == 0.0).all()
 
 
 def test_no_slot_has_a_column_of_its_own():
@@ -236,7 +272,7 @@ def test_columns_are_read_by_what_their_terms_are():
     env.close()
     assert [(entry["term"], entry["size"]) for entry in layout] == layout_of(12)
     renamed = [{**entry, "term": f"own_{index}"} for index, entry in enumerate(layout)]
-    old, new = joint_columns(layout_of(12), 12), joint_columns(renamed, 12)
+    old, new = joint_columns(layout_of(12), SLOTS), joint_columns(renamed, SLOTS)
     for field in dataclasses.fields(old):
         np.testing.assert_array_equal(getattr(new, field.name), getattr(old, field.name))
     assert old.states[1].tolist() == list(range(24, 36))
@@ -245,7 +281,7 @@ def test_columns_are_read_by_what_their_terms_are():
     assert old.general.tolist() == list(range(12))
     # another term of a joint is one more number of its state
     more = [*renamed, {"term": "motor_temperature", "size": 12, "kind": "per_joint", "magnitude": 50.0, "blocks": []}]
-    table = joint_columns(more, 12)
+    table = joint_columns(more, SLOTS)
     assert table.states.shape == (4, 12)
     assert table.states[3, 3] == table.num_obs - 12 + 3
 
@@ -287,12 +323,14 @@ def test_normalisation_counts_the_joints_that_there_are():
     assert torch.equal(moments["states"].mean, before)
 
 
-@pytest.mark.parametrize("activation", ["elu", "relu", "tanh"])
-def test_the_graph_computes_what_torch_does(activation):
+@pytest.mark.parametrize(("activation", "leg_heads"), [("elu", None), ("elu", 3), ("relu", None), ("tanh", 4)])
+def test_the_graph_computes_what_torch_does(activation, leg_heads):
     joints = 9
-    lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0]
+    names = [*(f"L_LEG{joint}" for joint in range(6)), "TORSO_YAW", "L_ELBOW", "HEAD_YAW"]
+    lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0 or row < slot - 5 < 4]
     observations = observations_of(99, joints, lacks)
-    network = build(joints, activation=activation, obs_normalization=activation != "relu").train()
+    changes = {"activation": activation, "leg_heads": leg_heads, "joint_names": names}
+    network = build(joints, obs_normalization=activation != "relu", **changes).train()
     network.update_normalization(batch_of(observations))
     network.eval()
     num_obs = observations.shape[1]

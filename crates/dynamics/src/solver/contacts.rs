@@ -3,20 +3,20 @@
 use crate::articulation::Topology;
 use crate::blocks::BLOCK;
 use crate::lanes::Real;
-use crate::parameters::BodyNumbers;
+use crate::parameters::Parameters;
 use crate::rows::{ContactRows, ContactWork};
 use crate::sparse_rows::JointRows;
 
 /// One regular sweep over the contacts, in the lanes that are `active`.
 #[inline(always)]
-pub(super) fn sweep_contacts<S: Real, B: BodyNumbers<S>>(
+pub(super) fn sweep_contacts<S: Real>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     active: S::Mask,
     work: &mut ContactWork<S>,
 ) {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
-    let friction = [parameters.static_friction(), parameters.dynamic_friction()];
+    let friction = [parameters.static_friction, parameters.dynamic_friction];
     // a copy, which stays in registers from one visit to the next
     let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {
@@ -31,16 +31,16 @@ pub(super) fn sweep_contacts<S: Real, B: BodyNumbers<S>>(
 /// Static and dynamic coefficient of a contact; `friction` is that of the whole robot, which links
 /// of one robot have among themselves.
 #[inline(always)]
-pub(super) fn sliding_friction<S: Real, B: BodyNumbers<S>>(
+pub(super) fn sliding_friction<S: Real>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     contact: usize,
     friction: [S; 2],
 ) -> [S; 2] {
-    if !B::FULL_FRICTION || !topology.has_surfaces || contact >= topology.contacts.len() {
+    if !topology.has_surfaces || contact >= topology.contacts.len() {
         return friction;
     }
-    let factor = parameters.contact_friction(contact)[0];
+    let factor = parameters.contact_friction[contact][0];
     [friction[0] * factor, friction[1] * factor]
 }
 

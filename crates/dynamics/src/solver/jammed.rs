@@ -3,7 +3,7 @@
 use crate::articulation::Topology;
 use crate::blocks::BLOCK;
 use crate::lanes::Real;
-use crate::parameters::BodyNumbers;
+use crate::parameters::Parameters;
 use crate::rows::{ContactRows, ContactWork};
 use crate::settings::SolverSettings;
 use crate::sparse_rows::JointRows;
@@ -30,15 +30,15 @@ pub(super) fn unsettled<S: Real>(topology: &Topology, solver: &SolverSettings, w
 
 /// One sweep over contacts that regular sweeps have not settled, in the lanes that are `active`.
 #[inline(always)]
-pub(super) fn sweep_jammed<S: Real, B: BodyNumbers<S>>(
+pub(super) fn sweep_jammed<S: Real>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     solver: &SolverSettings,
     active: S::Mask,
     work: &mut ContactWork<S>,
 ) {
     let ContactWork { contacts, num_contacts, contact_further, stride, base: y_base, joints: y_joint, .. } = work;
-    let friction = [parameters.static_friction(), parameters.dynamic_friction()];
+    let friction = [parameters.static_friction, parameters.dynamic_friction];
     // a copy, which stays in registers from one visit to the next
     let mut base = *y_base;
     for (row, further) in contacts[..*num_contacts].iter_mut().zip(contact_further.chunks_exact(*stride)) {

@@ -8,8 +8,8 @@ mod spins;
 mod warm_start;
 
 use super::articulation::Topology;
-use super::lanes::Real;
-use super::parameters::BodyNumbers;
+use super::lanes::{Kernel, Lanes, Real};
+use super::parameters::Parameters;
 use super::rows::ContactWork;
 use super::settings::{ContactSettings, SWEEPS, SolverSettings};
 use bounds::{settle_limits, sweep_bounds};
@@ -27,24 +27,20 @@ use warm_start::warm_start;
 /// moves the bodies. Velocities, forces and friction leave the push out: with it they would win
 /// energy, and friction would resist it where links are jammed.
 #[inline(always)]
-pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
+pub(super) fn solve<S: Lanes>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     settings: &ContactSettings,
     work: &mut ContactWork<S>,
 ) {
     let solver = &settings.solver;
-    warm_start(topology, parameters, work);
+    warm_start(topology, work);
     let all = S::zero().lt(S::one());
     sweep_regularly(topology, parameters, settings, all, work);
     let mut rounds = S::repeat(1 + solver.max_extra_rounds, all);
     while let Some(active) = rounds.next() {
         if rounds.round() > 1 {
-            for _ in 0..settings.iterations.min(solver.sweeps_per_round) {
-                sweep_bounds(topology, active, work);
-                sweep_spins(topology, parameters, active, work);
-                sweep_jammed(topology, parameters, solver, active, work);
-            }
+            S::call(ExtraRound { topology, parameters, settings, active, work });
         }
         // contacts come after dry friction, or feet would creep; limits have the last word
         settle_limits(topology, solver, active, false, work);
@@ -55,15 +51,55 @@ pub(super) fn solve<S: Real, B: BodyNumbers<S>>(
     if work.pushes() {
         work.moved_base = work.base;
         work.moved_joints.copy_from_slice(&work.joints);
-        push(topology, solver, work);
+        S::call(Push { topology, solver, work });
+    }
+}
+
+/// A round of sweeps over contacts that the regular sweeps left jammed.
+struct ExtraRound<'a, S: Real> {
+    topology: &'a Topology,
+    parameters: &'a Parameters<S>,
+    settings: &'a ContactSettings,
+    active: S::Mask,
+    work: &'a mut ContactWork<S>,
+}
+
+impl<S: Real> Kernel<S> for ExtraRound<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Self { topology, parameters, settings, active, work } = self;
+        let solver = &settings.solver;
+        for _ in 0..settings.iterations.min(solver.sweeps_per_round) {
+            sweep_bounds(topology, active, work);
+            sweep_spins(topology, parameters, active, work);
+            sweep_jammed(topology, parameters, solver, active, work);
+        }
+    }
+}
+
+/// See [`push`](push::push).
+struct Push<'a, S: Real> {
+    topology: &'a Topology,
+    solver: &'a SolverSettings,
+    work: &'a mut ContactWork<S>,
+}
+
+impl<S: Real> Kernel<S> for Push<'_, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        push(self.topology, self.solver, self.work);
     }
 }
 
 /// The regular sweeps: as many as the settings ask for, fewer in lanes where they change little.
 #[inline(always)]
-fn sweep_regularly<S: Real, B: BodyNumbers<S>>(
+fn sweep_regularly<S: Real>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     settings: &ContactSettings,
     all: S::Mask,
     work: &mut ContactWork<S>,

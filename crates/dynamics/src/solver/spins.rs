@@ -7,7 +7,7 @@
 use crate::articulation::{ContactFriction, Topology};
 use crate::blocks::BLOCK;
 use crate::lanes::Real;
-use crate::parameters::BodyNumbers;
+use crate::parameters::Parameters;
 use crate::rows::{ContactRows, ContactWork};
 use crate::sparse_rows::JointRows;
 use crate::spin_rows::SpinRows;
@@ -17,17 +17,17 @@ use super::contacts::sliding;
 /// One sweep over torsional and rolling friction, in the lanes that are `active`; nothing where
 /// neither acts.
 #[inline(always)]
-pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
+pub(super) fn sweep_spins<S: Real>(
     topology: &Topology,
-    parameters: B,
+    parameters: &Parameters<S>,
     active: S::Mask,
     work: &mut ContactWork<S>,
 ) {
-    if !B::FULL_FRICTION {
+    if work.num_spins == 0 {
         return;
     }
     let ContactWork { contacts, spins, num_spins, spin_further, stride, base: y_base, joints: y_joint, .. } = work;
-    let friction = [parameters.torsional_friction(), parameters.rolling_friction()];
+    let friction = [parameters.torsional_friction, parameters.rolling_friction];
     let mut base = *y_base;
     // ground contacts come before pairs
     let spins = contacts.iter().zip(&mut spins[..*num_spins]);
@@ -43,16 +43,11 @@ pub(super) fn sweep_spins<S: Real, B: BodyNumbers<S>>(
 /// Torsional and rolling coefficient of a ground contact, m: the larger of its surface's and
 /// `friction`, that of robot and ground.
 #[inline(always)]
-fn spin_friction<S: Real, B: BodyNumbers<S>>(
-    topology: &Topology,
-    parameters: B,
-    contact: usize,
-    friction: [S; 2],
-) -> [S; 2] {
+fn spin_friction<S: Real>(topology: &Topology, parameters: &Parameters<S>, contact: usize, friction: [S; 2]) -> [S; 2] {
     if !topology.has_surfaces {
         return friction;
     }
-    let [_, torsional, rolling] = parameters.contact_friction(contact);
+    let [_, torsional, rolling] = parameters.contact_friction[contact];
     [friction[0].max(torsional), friction[1].max(rolling)]
 }
 

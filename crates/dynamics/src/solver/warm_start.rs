@@ -3,7 +3,6 @@
 use crate::articulation::Topology;
 use crate::blocks::BLOCK;
 use crate::lanes::Real;
-use crate::parameters::BodyNumbers;
 use crate::rows::ContactWork;
 
 /// Keeps the share finite where there are no impulses, kg m^2/s^2.
@@ -15,7 +14,7 @@ const MIN_ENERGY: f64 = 1e-20;
 /// The solution keeps the rows' targets with the least kinetic energy of the change of velocity
 /// (Gauss's principle). Along the ray of the old impulses this energy is a parabola.
 #[inline(always)]
-pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, work: &mut ContactWork<S>) {
+pub(super) fn warm_start<S: Real>(topology: &Topology, work: &mut ContactWork<S>) {
     let z = S::zero();
     // the change of the velocity by the whole impulses, in memory that the moved velocity takes
     // over later
@@ -42,10 +41,8 @@ pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, 
         targets = row.target.mul_add(normal, targets);
         energy = (row.softness * normal).mul_add(normal, energy);
     }
-    if B::FULL_FRICTION {
-        for (spin, further) in spins[..*num_spins].iter().zip(spin_further.chunks_exact(*stride)) {
-            spin.apply(topology, further, &spin.impulse, moved_base, moved_joints);
-        }
+    for (spin, further) in spins[..*num_spins].iter().zip(spin_further.chunks_exact(*stride)) {
+        spin.apply(topology, further, &spin.impulse, moved_base, moved_joints);
     }
     for (block, further) in bounds.iter().zip(bound_further.chunks_exact(*stride)) {
         if block.active {
@@ -78,11 +75,9 @@ pub(super) fn warm_start<S: Real, B: BodyNumbers<S>>(topology: &Topology, _: B, 
             *x = *x * share;
         }
     }
-    if B::FULL_FRICTION {
-        for spin in &mut work.spins[..work.num_spins] {
-            for x in &mut spin.impulse {
-                *x = *x * share;
-            }
+    for spin in &mut work.spins[..work.num_spins] {
+        for x in &mut spin.impulse {
+            *x = *x * share;
         }
     }
     for block in &mut work.bounds {

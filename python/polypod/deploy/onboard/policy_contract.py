@@ -125,7 +125,7 @@ class Contract:
     inputs: dict[str, int]
     outputs: dict[str, int]
     states: dict[str, tuple[str, tuple[int, ...]]]
-    """By input: the output that is fed back, and the shape of one robot's."""
+    """Memory by input: the output that is fed back, and the shape of one robot's."""
     command_low: tuple[float, ...]
     command_high: tuple[float, ...]
     num_rays: int
