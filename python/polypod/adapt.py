@@ -1,8 +1,8 @@
 """From a policy that does not walk with a robot to one that does: `polypod adapt`.
 
 A short training that begins with the policy, of the robot alone or with robots that are described
-most like it, and ends when the robot walks. Where the policy falls at once and a GPU is there, the
-robot gets a separate network, which begins from scratch. Measuring and stopping are
+most like it, and ends when the robot walks. Where the policy falls at once, a robot on two legs, or
+with a GPU any, gets a separate network, which begins from scratch. Measuring and stopping are
 `polypod.training.goal`, training is `polypod.training.session`.
 """
 
@@ -46,7 +46,7 @@ the training, by more than this share of a standing robot's error."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
-EVERY, EVERY_SEPARATE = 10, 40
+EVERY, EVERY_SEPARATE = 10, 60
 """Iterations between two measurements; those of a separate network, which begins from scratch, are
 shorter and more."""
 FOUR_LEGS, OTHERS = "quadruped", "legged"
@@ -75,7 +75,8 @@ class Options:
     network."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
-    or a stop, a GPU is there, and neither checkpoint nor neighbours are given."""
+    or a stop, the robot has two legs or a GPU is there, and neither checkpoint nor neighbours are
+    given."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
     device: str = "auto"
@@ -156,7 +157,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     if options.train_config is not None:
         config.load(options.train_config)  # its mistakes are said before anything is written
     if _has_gpu(options):
-        # what a training needs takes seconds, next to the first measurement none
+        # a training needs seconds to begin, and none that pass next to the first measurement
         threading.Thread(target=_begin_gpu, daemon=True).start()
     given = Path(options.robot)
     run = run_dir.create(options.log_dir, EXPERIMENT, robot_name(given))
@@ -337,7 +338,7 @@ def _has_gpu(options: Options) -> bool:
 
 
 def _begin_gpu() -> None:
-    """Loads what a training on a GPU needs: its context, and what torch imports for an optimiser."""
+    """Loads what a training on a GPU needs: its context, and torch's imports for an optimiser."""
     with contextlib.suppress(RuntimeError, AssertionError):
         # the training says what is wrong
         import torch._dynamo
