@@ -14,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -101,6 +101,14 @@ class Recipe:
     """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
     with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]`
     with `robots`, `suffix` and `joints` stands for one of each of these robots."""
+
+    def named(self, names: Iterable[str]) -> set[str]:
+        """Robots, and drawn bodies as `@drawn.N`, that names and groups stand for."""
+        found: set[str] = set()
+        for name in names:
+            is_group = name.startswith("@") and not name.startswith("@drawn.")
+            found |= self.named(self.groups[name[1:]]) if is_group else {name}
+        return found
 
     def robots(self, names: Sequence[str], out: Path, without: Sequence[str] = ()) -> list[str]:
         """Robots that names and groups stand for, except some and their drafts."""
@@ -252,15 +260,23 @@ def packages(recipe: Recipe) -> list[str]:
 
 def environment(recipe: Recipe, out: Path) -> dict[str, str]:
     """The environment of a stage, with drawn bodies, drafted robots and the tasks of the recipe."""
-    drawn = [str(bodies_folder(out, number)) for number in range(len(recipe.bodies))]
-    drafted = [str(out / "drafts")] if recipe.drafts else []
-    folders = [*drawn, *drafted, *packages(recipe), os.environ.get("POLYPOD_PATH", "")]
+    made = [*(bodies_folder(out, number) for number in range(len(recipe.bodies))), out / "drafts"]
+    folders = [*(str(folder) for folder in made if folder.is_dir()), *packages(recipe)]
+    folders.append(os.environ.get("POLYPOD_PATH", ""))
     return {**os.environ, "POLYPOD_PATH": os.pathsep.join(folder for folder in folders if folder)}
 
 
-def draw(recipe: Recipe, out: Path) -> None:
-    """Draws the bodies and drafts the robots, if they are not there."""
+def draw(recipe: Recipe, out: Path, stages: Sequence[Stage]) -> None:
+    """Draws the bodies and drafts the robots that the stages name, if they are not there."""
+    # `lab.grown` simulates the robots of the policy that it grows
+    grown = [stage for stage in recipe.stages if stage.name in {of.init for of in stages if of.grown}]
+    named = recipe.named([name for stage in [*stages, *grown] for name in stage.robots])
+    locked = {name: variant for name, variant in recipe.locked.items() if name in named}
+    whole = named | {variant["robot"] for variant in locked.values()}
     for number, arguments in enumerate(recipe.bodies):
+        prefix = f"{arguments[arguments.index('--prefix') + 1]}_" if "--prefix" in arguments else ""
+        if f"@drawn.{number}" not in named and not any(name.startswith(prefix) for name in whole):
+            continue
         if not (folder := bodies_folder(out, number)).is_dir():
             words = [sys.executable, "-m", "polypod", "bodies", "generate", str(folder)]
             subprocess.run([*words, *without_drafted(arguments)], check=True, stdout=subprocess.DEVNULL)
@@ -268,13 +284,15 @@ def draw(recipe: Recipe, out: Path) -> None:
                 for config in sorted((folder / "configs" / "robots").glob("*.toml")):
                     draft_drawn(folder, config)
     for robot in recipe.drafts:
+        if f"drafted_{robot}" not in named and robot not in whole:
+            continue
         if not (config := out / "drafts" / "configs" / "robots" / f"drafted_{robot}.toml").is_file():
             config.parent.mkdir(parents=True, exist_ok=True)
             # a config names its URDF by the way to it, which must be there on another machine
             own = out / "drafts" / "assets" / "robots" / robot
             shutil.copytree(LIBRARY / robot, own, dirs_exist_ok=True)
             draft(own / "robot.urdf", config)
-    for name, variant in recipe.locked.items():
+    for name, variant in locked.items():
         if not (config := out / "drafts" / "configs" / "robots" / f"{name}.toml").is_file():
             draft_held(whole_of(recipe, variant["robot"], out), config, variant["joints"])
 
@@ -385,7 +403,7 @@ def main() -> None:
     if unknown := [name for name in names if name not in known]:
         sys.exit(f"{arguments.recipe} has no stage {', '.join(unknown)}; it has {', '.join(known)}")
     out.mkdir(parents=True, exist_ok=True)
-    draw(recipe, out)
+    draw(recipe, out, [known[name] for name in names])
     ends_at = None if arguments.seconds is None else began + arguments.seconds
     with ThreadPoolExecutor(arguments.together) as pool:
         for line in pool.map(lambda name: train(recipe, known[name], out, ends_at, arguments.threads), names):

@@ -127,7 +127,7 @@ def _is_draft(config: Path) -> bool:
 
 
 def _refusal(urdf: Path, problem: str) -> str:
-    """What is wrong with a URDF whose draft has this problem."""
+    """The fault of a URDF whose draft has this problem."""
     with contextlib.suppress(_core.PolypodError):
         for note in _core.draft_robot(urdf, urdf=urdf.name)["notes"]:
             if "it looks like" in note:

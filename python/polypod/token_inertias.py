@@ -1,9 +1,9 @@
 """Inertias for links of a URDF that state a placeholder.
 
-Makers who have no inertias write the same moments into every link, often 1 kg m^2, with masses of
-their own. A link of 0.4 kg then turns as heavily as a ball of 4 m; others write 0 or 1e-6. In a copy of
-the file such a link gets the moments of a bar from its joint to the end of the link: other readers
-of a URDF see only what it says.
+Makers who have no inertias write the same moments into every link, often 1 kg m^2, with different
+masses. A link of 0.4 kg then turns as heavily as a ball of 4 m; others write 0 or 1e-6. In a
+copy of the file such a link gets the moments of a bar from its joint to the end of the link: other
+readers of a URDF see only what it says.
 """
 
 import math
@@ -90,7 +90,7 @@ def _ball(moment: float, mass: float) -> float:
 
 
 def _size(robot: ElementTree.Element) -> float:
-    """The farthest that any link can end from the root, m: the last length of a chain counts twice."""
+    """The farthest end of a link from the root, m: a chain's last length counts twice."""
     above = {_link(joint, "child"): joint for joint in robot.findall("joint")}
     farthest = 0.0
     for name in above:

@@ -6,7 +6,8 @@ use super::chains::ZeroPose;
 use super::model::{Geometry, Shape};
 
 /// A sphere is the foot when it reaches at least this share of the leg's farthest reach, and no
-/// shape reaches farther by more than its radius: a wheel or a spring below it stands on the ground.
+/// shape reaches farther by more than its radius: a wheel or a spring below it stands on the
+/// ground.
 const SPHERE_REACH: f64 = 0.8;
 
 /// Components of a unit vector below this are zero: makers write right angles as 1.5708, or as

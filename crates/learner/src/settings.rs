@@ -83,7 +83,7 @@ pub struct Joints {
     /// all of them.
     #[serde(default)]
     pub leg_heads: Option<usize>,
-    /// Which of the slots are of a leg, `[slots]`.
+    /// Whether a slot is of a leg, `[slots]`.
     #[serde(default)]
     pub legs: Vec<bool>,
 }

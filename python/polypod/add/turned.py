@@ -1,4 +1,4 @@
-"""MJCF robots whose base frame is not x forward and z up: the frame is turned, and nothing moves."""
+"""Turns base frames of MJCF robots to x forward and z up, and nothing moves."""
 
 import dataclasses
 
@@ -15,8 +15,8 @@ FRAME = "polypod_upright"
 def turned(made: Compiled, axes: Array) -> Compiled:
     """The same robot with another frame of its base. Its spec is changed.
 
-    What lies in the base's frame gets a frame of its own there, so that any way to write a place or
-    a turn is MuJoCo's to resolve.
+    Each element in the base's frame gets a separate frame there, so that MuJoCo resolves any way to
+    write a place or a turn.
 
     Args:
         made: the model.

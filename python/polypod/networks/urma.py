@@ -80,7 +80,7 @@ class _Joints(NamedTuple):
     present: torch.Tensor
     """[batch, places], which of a sample's places hold a joint."""
     legs: torch.Tensor | None
-    """[batch, places], which of them hold a joint of a leg; None where legs count as other limbs."""
+    """[batch, places], which of them hold a joint of a leg; None without heads of legs."""
     place_of_row: torch.Tensor | None
     """[rows], place of each row in batch x places; None: rows are all places."""
     sample_of_row: torch.Tensor | None

@@ -390,7 +390,9 @@ def _check_network(network: CriticConfig, where: str) -> None:
         )
     check_size([network.joint_dim or 1, network.num_heads or 1], f"{where} joint_dim and num_heads")
     if network.leg_heads is not None and network.class_name != URMA:
-        raise _core.ConfigError(f'{where} leg_heads is of networks of joints; leave it out or set class_name = "{URMA}"')
+        raise _core.ConfigError(
+            f'{where} leg_heads is of networks of joints; leave it out or set class_name = "{URMA}"'
+        )
     if network.leg_heads is not None and not 1 <= network.leg_heads <= (network.num_heads or 0):
         raise _core.ConfigError(f"{where} leg_heads = {network.leg_heads} must be from 1 to num_heads")
     for key in ("joint_dim", "num_heads"):

@@ -226,6 +226,11 @@ def _check_joints(policy: PolicyManifest, path: Path) -> None:
             f"{path}: policy: {', '.join(missing)} missing, which {policy['class_name']} needs; "
             "copy the manifest again from the training's run"
         )
+    if policy.get("leg_heads", 1) > policy["num_heads"]:
+        raise _core.ConfigError(
+            f"{path}: policy: leg_heads = {policy['leg_heads']} is more than num_heads = {policy['num_heads']}; "
+            "copy the manifest again from the training's run"
+        )
     check_size(
         [policy["num_obs"], policy["joint_dim"] * policy["num_actions"], policy["joint_dim"] * policy["num_heads"]],
         f"{path}: policy",

@@ -139,7 +139,8 @@ class CriticConfig:
     num_heads: int | None = None
     """Heads of the attention over joints; networks of joints need it."""
     leg_heads: int | None = None
-    """Heads that look at legs alone, the others at all other limbs; networks of joints may have them."""
+    """Heads that look at legs alone, the others at all other limbs; networks of joints have
+    them."""
     rnn_type: str | None = None
     """Kind of recurrent layer; recurrent networks need it."""
     rnn_hidden_dim: int | None = None

@@ -346,7 +346,7 @@ class Stage:
         return OnnxPolicy.of(self._network, interface)
 
     def told(self, model: Model) -> list[str]:
-        """What the policy is told of the model, for people."""
+        """Lines for people about the model's gains that the policy is told."""
         line = told.interface_on(model, self.interface)[1]
         return [] if line is None else [line]
 

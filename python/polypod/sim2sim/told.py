@@ -18,7 +18,7 @@ COUNT = 19
 STIFFNESS, DAMPING = 11, 12
 """Places of the gains among them."""
 UNITS = {STIFFNESS: 100.0, DAMPING: 5.0}
-"""N m/rad, N m s/rad."""
+"""Units of the gains in the description: N m/rad, N m s/rad."""
 NAMES = {STIFFNESS: "a stiffness of {} N m/rad", DAMPING: "a damping of {} N m s/rad"}
 SAME = 0.01
 """Share by which a gain differs at most from one that counts as the same."""
@@ -27,8 +27,8 @@ SAME = 0.01
 def interface_on(model: Model, interface: RobotInterface) -> tuple[RobotInterface, str | None]:
     """The interface of a policy to its robot on a model.
 
-    Damping of the model's joints is no gain, and is not told: where an actuator has none of its
-    own, the policy keeps polypod's.
+    Damping of the model's joints is no gain, and is not told: where an actuator has no
+    damping, the policy keeps polypod's.
 
     Args:
         model: of the robot.
@@ -67,12 +67,12 @@ def _is_scaled(interface: RobotInterface) -> bool:
 
 
 def _stiffness(model: Model) -> Array:
-    """[joints], N m/rad."""
+    """Stiffness of the model's actuators, [joints], N m/rad."""
     found: Array = model.model.actuator_gainprm[model.actuators, 0] * model.gears**2
     return found
 
 
 def _damping(model: Model) -> Array:
-    """[joints], N m s/rad."""
+    """Damping of the model's actuators, [joints], N m s/rad."""
     found: Array = 0.0 - model.model.actuator_biasprm[model.actuators, 2] * model.gears**2
     return found

@@ -241,24 +241,29 @@ def test_joints_are_held_of_a_group_of_robots(tmp_path):
 
 def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
     words = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "d", "--wide")
+    unnamed = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "e")
+    named = ("@dogs", "drafted_bolt", "stiff", "rigid")
+    stage = recipe.Stage(name="first", config="student.toml", robots=named)
     plan = recipe.Recipe(
         folder=tmp_path,
-        stages=(),
-        groups={},
-        bodies=((*words, recipe.DRAFTED), words),
-        drafts=("bolt",),
+        stages=(stage,),
+        groups={"dogs": ("d_biped_0",)},
+        bodies=((*words, recipe.DRAFTED), words, unnamed),
+        drafts=("bolt", "spot"),
         locked={
             "stiff": {"robot": "bolt", "joints": ["*_HIP_ROLL"]},
             "rigid": {"robot": "d_biped_0", "joints": ["*_HIP_ROLL"]},
         },
     )
-    recipe.draw(plan, tmp_path)
+    recipe.draw(plan, tmp_path, [stage])
+    assert not recipe.bodies_folder(tmp_path, 2).exists(), "no stage names these"
     drafted, drawn = (recipe.bodies_folder(tmp_path, n) / "configs" / "robots" / "d_biped_0.toml" for n in (0, 1))
     assert "Drafted by" in drafted.read_text()
     assert "Drafted by" not in drawn.read_text()
     tables = [tomllib.loads(file.read_text()) for file in (drafted, drawn)]
     assert tables[0]["reward_set"] == tables[1]["reward_set"]
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "drafts"))
+    assert not (tmp_path / "drafts/configs/robots/drafted_spot.toml").exists()
     robots = ["drafted_bolt", "stiff", str(drafted), "rigid"]
     infos = json.loads(_core.VecSim(recipe.TASK, 4, robots=robots, threads=1).robot_info())
     for whole, fewer in (

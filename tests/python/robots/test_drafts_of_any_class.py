@@ -386,7 +386,7 @@ def test_arms_above_a_spine_are_no_legs(tmp_path, height, is_upper_body):
 
 @pytest.mark.parametrize(("moment", "is_token"), [(1.0, True), (1e-9, True), (-5e-20, True), (1e-3, False)])
 def test_placeholders_of_inertias_give_way_to_bars(tmp_path, moment, is_token):
-    """One moment in every link: links of a few hundred grams would turn as heavily as large balls."""
+    """One moment in every link: links of some hundred grams would turn as large balls do."""
     tree = ET.parse(urdf("berkeley_humanoid"))
     for inertia in tree.iter("inertia"):
         inertia.attrib = dict.fromkeys(("ixx", "iyy", "izz"), str(moment)) | dict.fromkeys(("ixy", "ixz", "iyz"), "0")

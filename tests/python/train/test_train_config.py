@@ -74,6 +74,8 @@ def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
         ),
         ('extends = "flat"\n[actor]\nnum_heads = 4\n', r"\[actor\] num_heads is of networks of joints"),
         (f'extends = "flat"\n[actor]\nclass_name = "{schema.URMA}"\njoint_dim = 8\n', "num_heads = None must be at"),
+        ('extends = "flat"\n[actor]\nleg_heads = 4\n', r"\[actor\] leg_heads is of networks of joints"),
+        ('extends = "flat_joints"\n[actor]\nleg_heads = 33\n', r"\[actor\] leg_heads = 33 must be from 1 to num_heads"),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
         ('extends = "flat"\n[run]\ntask_changes = ["sim.decimation=2"]\n', "begin with commands., events., rewards."),
         ("[run]\nnum_envs = 1\n", "extends"),

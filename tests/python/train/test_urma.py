@@ -4,6 +4,7 @@ All tools use it like any other network.
 """
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -446,6 +447,19 @@ def test_different_bodies_train_in_one_batch_and_each_is_served(tmp_path, small,
     assert (first.mode, first.fault) == ("walk", None)
     next_one = loop.step(robot.read().time, robot.read(), (0.5, 0.0, 0.0))
     assert (first.q != next_one.q).all()
+
+
+def test_a_network_with_heads_of_legs_trains_and_exports(tmp_path, small):
+    overrides = ["train.actor.leg_heads=3", "train.critic.leg_heads=4"]
+    checkpoint = train(tmp_path / "run", small, robots=BODIES, max_iterations=1, overrides=overrides)
+    network = load_network(run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)["policy"])
+    assert network.mlp.leg_heads == 3
+    assert export_checkpoint(checkpoint, fold=True, robots=[BODIES[2]]).difference <= 1e-5
+    path = checkpoint.parent / "manifest.json"
+    manifest = json.loads(path.read_text())
+    path.write_text(json.dumps({**manifest, "policy": {**manifest["policy"], "leg_heads": 5}}))
+    with pytest.raises(_core.ConfigError, match="leg_heads = 5 is more than num_heads = 4"):
+        run_dir.read_manifest(checkpoint)
 
 
 def test_mixed_precision_is_close():
