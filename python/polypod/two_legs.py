@@ -39,9 +39,12 @@ DAMPING = {"ANKLE": 0.06, "ARM": 0.1}
 """Damping over stiffness, s; makers have 0.02 to 0.2 at ankles and 0.06 to 0.25 at arms."""
 DAMPING_OF_LEGS = 0.04
 """Makers have 0.025 to 0.064."""
-EFFORT = {"ANKLE": 0.16}
-EFFORT_OF_LEGS = 0.38
-"""Effort limit over the load where the URDF has only a placeholder, of ankles and other joints."""
+EFFORT_OF_ANKLES, EFFORT_OF_LEGS = 0.16, 0.38
+"""Effort limit over the load where the URDF has only a placeholder: of a heavy robot's ankles, and
+of other joints."""
+HEAVY = 50.0
+"""Mass of a heavy robot, kg. Torques grow with the volume and the load with length more, so that
+ankles of lighter robots are stronger, as those of hobby servos: at most like their legs."""
 LEAST_EFFORT = 0.15
 """Legs of one effort limit below this share of the load state no motor's: exporters write 1 N m
 into every joint. Knees of makers have 0.36 and more."""
@@ -68,6 +71,13 @@ def stiffness(slot: str, mass: float, hip_height: float, effort: float) -> float
     share = SHARE_OF_EFFORT.get(part, SHARE_IN_LEGS)
     most = leg if part == "ANKLE" else float("inf")
     return min(leg ** (1.0 - share) * effort**share, most)
+
+
+def assumed_effort(slot: str, mass: float) -> float:
+    """Effort limit over the load of a joint whose URDF has only a placeholder."""
+    if part_of(slot) != "ANKLE":
+        return EFFORT_OF_LEGS
+    return min(EFFORT_OF_ANKLES * (mass / HEAVY) ** (-1 / 3), EFFORT_OF_LEGS)
 
 
 def damping(slot: str, stiff: float) -> float:
@@ -120,7 +130,7 @@ def _groups(lines: Sequence[str], info: Mapping[str, Any]) -> tuple[list[str], l
     for slot, joint in slots.items():
         effort, effort_line, speed_line = info["effort_limit"][joint], *limits[slot]
         if is_placeholder and effort in stated:
-            effort = rounded((EFFORT["ANKLE"] if part_of(slot) == "ANKLE" else EFFORT_OF_LEGS) * load)
+            effort = rounded(assumed_effort(slot, mass) * load)
             effort_line = f"effort_limit = {effort!r}          # N m, {ASSUMED}"
             replaced.setdefault(effort, []).append(info["joint_names"][joint])
         stiff = rounded(stiffness(slot, mass, height, effort))
