@@ -1085,7 +1085,7 @@ class VecSim:
 
         Raises:
             ConfigError: where there are no arrays; as `step`, where actions that are refused raise
-                it some steps later: their env's episode is over then.
+                it some steps later: their env has acted with zeros instead.
         """
 
     def set_dump_dir(self, dump_dir: str | os.PathLike[str] | None) -> None:

@@ -191,8 +191,8 @@ impl Sim {
     /// and after each method that reads or writes components.
     ///
     /// # Errors
-    /// As [`step`](Self::step), where actions are refused some steps later: their env's state is
-    /// broken then and its episode over. There are no arrays on the device.
+    /// As [`step`](Self::step), where actions are refused some steps later: their env has acted
+    /// with zeros instead. There are no arrays on the device.
     pub fn step_device(&mut self, stream: u64) -> Result<(), Error> {
         self.check_external()?;
         self.check_residence()?;

@@ -223,18 +223,34 @@ fn that_flow_with_the_host_where_the_device_cannot() {
 
 #[test]
 fn that_flow_and_refuse_actions_that_are_no_numbers() {
-    let (host, mut device, rows) = flowing(busy(&["unitree_a1"], 20));
-    let mut actions = vec![0.0; rows.sizes.part(RowsOf::Given).len()];
+    let options = busy(&["unitree_a1"], 20);
+    let mut cpu = Sim::new(&options).unwrap();
+    let (host, mut device, rows) = flowing(options);
+    let width = rows.sizes.actions;
+    let mut actions = vec![0.3; rows.sizes.part(RowsOf::Given).len()];
     flow(&host, &mut device, &actions);
-    actions[7 * rows.sizes.actions + 3] = f32::NAN;
-    flow(&host, &mut device, &actions);
-    let error = device.fetch_batch().unwrap_err().to_string();
-    assert!(error.contains("an action of env 7 was not a number within 1000000"), "{error}");
+    cpu.step(&actions).unwrap();
+    // the env acts with zeros instead, and all others as they are told
+    for bad in [f32::NAN, f32::NEG_INFINITY, -1e7] {
+        actions[7 * width..8 * width].fill(0.0);
+        cpu.step(&actions).unwrap();
+        actions[7 * width..8 * width].fill(0.3);
+        actions[7 * width + 3] = bad;
+        flow(&host, &mut device, &actions);
+        let error = device.fetch_batch().unwrap_err().to_string();
+        assert!(error.contains("an action of env 7 was not a number within 1000000"), "{error}");
+        assert_same_batch(&cpu, &device, &format!("after {bad}"));
+    }
     // once; the simulation goes on
     device.fetch_batch().unwrap();
     actions.fill(0.0);
-    flow(&host, &mut device, &actions);
-    device.fetch_batch().unwrap();
+    for _ in 0..3 {
+        cpu.step(&actions).unwrap();
+        flow(&host, &mut device, &actions);
+        device.fetch_batch().unwrap();
+        assert_same_batch(&cpu, &device, "the steps after it");
+    }
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
     // without anybody who looks the error comes with a later step
     actions[19 * rows.sizes.actions] = 1e7;
     flow(&host, &mut device, &actions);

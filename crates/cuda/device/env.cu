@@ -50,9 +50,10 @@ FN void step_env(const EnvBlock *envs, int e, int after) {
     v->increment = (Wide)U(U_INCREMENT + 1) << 32 | U(U_INCREMENT);
     v->flags = U(U_FLAGS);
     if (after) {
+        unsigned refused = v->flags & BAD_ACTION;
+        v->flags &= ~(unsigned)BAD_ACTION;
         unsigned flags = after_physics(v, e, envs->ended + (size_t)e * envs->ended_size);
-        if (!acts_within_bounds(v)) flags |= BAD_ACTION;
-        envs->flags[e] = flags;
+        envs->flags[e] = flags | refused;
         envs->rewards[e] = v->total;
         for (int d = 0; d < 3; d++) envs->commands[3 * e + d] = X(K(X_COMMAND) + d);
         envs->terminated[e] = (flags & TERMINATED) != 0;
@@ -65,6 +66,11 @@ FN void step_env(const EnvBlock *envs, int e, int after) {
                     envs->host_finals[(size_t)e * K(K_OBSERVED) + i] = v->final[i];
         }
     } else {
+        if (!acts_within_bounds(v)) {
+            /* the host is told, and the env goes on with a state that is one */
+            v->flags |= BAD_ACTION;
+            ROLLED for (int i = 0; i < K(K_ACTIONS); i++) envs->actions[(size_t)e * K(K_ACTIONS) + i] = 0.0f;
+        }
         before_physics(v);
     }
     U(U_STATE) = (unsigned)v->random;
