@@ -26,7 +26,7 @@ def write(
     """The tables as Markdown, and the pictures drawn.
 
     Args:
-        results: what `read` found.
+        results: the return value of `read`.
         out: document to write the tables to, between its marks; None: none.
         media: folder for the pictures; None: none are drawn.
         score: velocity error, m/s, whose reaching is counted in iterations.

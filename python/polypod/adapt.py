@@ -104,7 +104,7 @@ class Options:
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """How far an adaptation came."""
+    """Outcome of an adaptation."""
 
     name: str
     """Name of the robot."""

@@ -283,7 +283,7 @@ def pose(robot: Robot, above: float) -> Array:
 
 
 def _rotate(axis: Array, vector: Array) -> Array:
-    """`vector`, at right angles to the unit vector `axis`, turned about it by the slope's angle."""
+    """Turns `vector` about the unit vector `axis`, perpendicular to it, by the slope's angle."""
     return math.cos(SLOPE_ANGLE) * vector + math.sin(SLOPE_ANGLE) * np.cross(axis, vector)
 
 

@@ -13,7 +13,7 @@ def rates(samples: Mapping[str, Sample], seconds: float, rounds: int) -> dict[st
 
     Args:
         samples: by name; each is called once before anything is timed.
-        seconds: that one sample is repeated for in a round, at least.
+        seconds: least time for which a round repeats a sample.
         rounds: number of turns.
 
     Returns:

@@ -292,7 +292,7 @@ class Record:
         self.schedule, self.step_dt = schedule, step_dt
         segments, num_envs = schedule.kinds.shape
         self.active = np.ones(num_envs, dtype=np.bool_)
-        """[envs], which have not fallen yet."""
+        """[envs], True until the env's robot falls."""
         self.fell = np.zeros(num_envs, dtype=np.bool_)
         self.step = 0
         self._kinds = schedule.kinds

@@ -134,7 +134,7 @@ def interfaces(manifest: Mapping[str, Any], robots: Sequence[str] | None = None)
     """The interfaces of a policy to robots.
 
     Args:
-        manifest: that of the checkpoint.
+        manifest: the checkpoint's manifest.
         robots: names or paths of configs; None: those that the policy was trained on.
 
     Raises:

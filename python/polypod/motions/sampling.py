@@ -31,7 +31,7 @@ class Bins:
         self.total = int(self.counts.sum())
         """Bins of a robot."""
         self.robots = robots
-        # probability without failures: every second is as likely
+        # probability without failures: every second is equally likely
         self._uniform = np.repeat(np.asarray(durations, dtype=np.float64) / self.counts, self.counts)
         self._uniform /= self._uniform.sum()
 

@@ -38,7 +38,7 @@ class OnnxSession:
                 refused.
             name: of the file, in errors.
             purpose: what needs onnxruntime, in errors.
-            threads: that compute.
+            threads: number of threads that compute.
 
         Raises:
             ConfigError: for what is no such model, and where a package is missing.

@@ -47,7 +47,7 @@ class Avatar:
             root: name of the robot's node.
             robot: as it begins.
             looks: what it looks like.
-            color: that tells it from others.
+            color: colour that tells it from others.
         """
         self._scene, self.root = scene, root
         self._base = scene.add_frame(root, show_axes=False)

@@ -62,7 +62,7 @@ class Live:
         """Begins with `player`.
 
         Args:
-            player: what is simulated.
+            player: the simulation.
             viewer: its page.
             build: makes the player of a choice, or raises a PolypodError; None: there is nothing to
                 choose.

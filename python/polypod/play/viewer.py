@@ -59,7 +59,7 @@ class Viewer:
         """Opens the server; the next free port is taken where `port` is not.
 
         Args:
-            player: what is shown.
+            player: the simulation that is shown.
             port: 0 takes a free one.
             host: address that the page is served at.
             meshes: show the makers' meshes of the package robot_descriptions, which downloads them

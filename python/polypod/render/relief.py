@@ -78,13 +78,13 @@ def picture(
     """[height, width, 3], the ground and the solids on it.
 
     Args:
-        lens: what looks.
-        ground: what is looked at.
-        target: in the middle of the picture, m.
-        solids: with their colours, in the world.
+        lens: the camera.
+        ground: the ground in view.
+        target: point in the middle of the picture, m.
+        solids: in world axes, each with its colour.
         middles: of the robots, m; shadows are cast around them.
         light: where light comes from, of unit length.
-        sky: its colour.
+        sky: colour of the sky.
     """
     layer = _ground(lens, ground, np.asarray(target, dtype=np.float64), light, np.array(sky, dtype=np.float64))
     layer.colors[0] = sky

@@ -70,7 +70,7 @@ class Mujoco:
 
         Args:
             loaded: the policy.
-            setting: that of the battery.
+            setting: the battery's setting.
             num_envs: envs of each robot.
             model: in place of the twin; of the only robot.
 

@@ -143,7 +143,7 @@ def run(setting: Setting, nominal: Nominal, condition: Condition, policy: Policy
     worn motor for it. With the randomisation of the training, it is told what the task says.
 
     Args:
-        setting: that of the battery.
+        setting: the battery's setting.
         nominal: of as many envs.
         condition: the condition.
         policy: from observations to actions.

@@ -128,7 +128,7 @@ def cell(record: Record, envs: slice, bound: Bound, *, whole: bool) -> Cell:
     Args:
         record: what the simulation did.
         envs: those of the robot.
-        bound: that of the robot.
+        bound: the robot's bound.
         whole: whether the episodes are whole ones, of which nothing that `bound` names may be
             missing.
     """

@@ -84,7 +84,7 @@ class Model:
             file: its name, for messages.
             robot: of polypod.
             given: content of a map file.
-            choices: how it is played.
+            choices: options of playing the model.
 
         Raises:
             ConfigError: for a model that is not of this robot, or that cannot be driven.

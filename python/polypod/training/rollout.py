@@ -42,7 +42,7 @@ class Rollout(Samples):
         Args:
             alg: whose networks act and estimate; its storage is not looked at.
             env: this worker's envs.
-            config: what is trained.
+            config: the training.
             reward_scale: of each robot's rewards; None: rewards stay as they are.
             workers: those that have the other envs.
         """

@@ -100,7 +100,7 @@ class Runner(OnPolicyRunner):
 
         Args:
             env: this worker's envs.
-            config: what to train.
+            config: the training.
             run: directory of the run, which worker 0 writes to.
             device: where the learner is.
             reporter: what the user sees, of worker 0.
@@ -174,7 +174,7 @@ class Runner(OnPolicyRunner):
         on.
 
         Args:
-            num_learning_iterations: how many.
+            num_learning_iterations: number of iterations.
             init_at_random_ep_len: start the envs at random points of their episodes, so that
                 time-outs are spread.
 

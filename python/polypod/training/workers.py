@@ -332,7 +332,7 @@ def _backend(store: Any, index: int, count: int, gpu: str) -> str:
     NCCL refuses workers that share a GPU. gloo sums tensors of GPUs by way of the CPU.
 
     Args:
-        store: that all workers see.
+        store: key-value store of all workers.
         index: of this worker.
         count: of all workers.
         gpu: of this worker; empty: it has none.
