@@ -143,7 +143,7 @@ def test_an_effort_limit_that_an_exporter_wrote_into_every_joint_is_no_motors(tm
 
 
 def test_ankles_of_light_robots_are_assumed_to_be_as_strong_as_their_legs():
-    """ToddlerBot, 3.4 kg, sagged by 0.7 rad on ankles of a sixth of its load, and learned no step."""
+    """ToddlerBot, 3.4 kg, sags by 0.7 rad on ankles of a sixth of its load, and learns no step."""
     assert two_legs.assumed_effort("L_ANKLE_PITCH", 3.4) == two_legs.assumed_effort("L_KNEE", 3.4)
     assert two_legs.assumed_effort("L_ANKLE_PITCH", 50.0) == pytest.approx(0.16)
     assert two_legs.assumed_effort("L_KNEE", 50.0) == 0.38
