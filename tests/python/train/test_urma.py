@@ -5,6 +5,7 @@ All tools use it like any other network.
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from polypod import _core, networks
 from polypod.evaluation import evaluate_checkpoint, load_network
 from polypod.export import OnnxPolicy, export_checkpoint, onnx_graph
 from polypod.export.checkpoint import compare
-from polypod.networks.joints import joint_columns
+from polypod.networks.joints import _is_of_leg, joint_columns
 from polypod.observation import layout_of as layout_of_terms
 from polypod.observation import terms_of
 from polypod.runs import config, run_dir
@@ -155,6 +156,20 @@ def test_heads_of_legs_read_the_same_whatever_other_limbs_a_body_has():
     plain = build(len(names), joint_names=names).mlp
     with torch.no_grad():
         assert not torch.allclose(plain._joints(whole).relative[:4], plain._joints(bare).relative[:4], atol=1e-2)
+
+
+def test_slots_of_legs_are_those_whose_role_is_a_legs():
+    text = (ROOT / "src" / "robot" / "limbs.rs").read_text(encoding="utf-8").partition("impl Role {")[2]
+    names = dict(re.findall(r'Self::(\w+) => "([A-Z_]+)",', text))
+    listed = re.search(r"is_of_leg = matches!\(\s*self,(.*?)\);", text, re.DOTALL)
+    assert listed is not None
+    of_legs = set(re.findall(r"Self::(\w+)", listed[1]))
+    assert len(names) > len(of_legs) > 10
+    for role, name in names.items():
+        # a joint that slides is of any limb, and counts as a leg's on the left and the right
+        assert _is_of_leg(f"L_{name}") == (role in of_legs | {"Yaw", "Roll", "Pitch", "Slide"}), name
+    for place in ("TORSO", "HEAD", "ARM", "TAIL"):
+        assert not any(_is_of_leg(f"{place}_{name}") for name in ("YAW", "ROLL", "PITCH", "SLIDE"))
 
 
 @pytest.mark.parametrize("leg_heads", [None, 3])
