@@ -9,14 +9,12 @@ import dataclasses
 import numpy as np
 
 from polypod.arrays import Array
+from polypod.descriptions import DESCRIPTORS, TERM
 from polypod.export.robot import RobotInterface
 from polypod.sim2sim.maker import Model
 
-TERM = "joint_descriptors"
-COUNT = 19
-"""Numbers of a joint, see `systems/sense/joint_descriptors.rs`."""
-STIFFNESS, DAMPING = 11, 12
-"""Places of the gains among them."""
+STIFFNESS, DAMPING = (DESCRIPTORS.index(gain) for gain in ("stiffness", "damping"))
+"""Places of the gains among a joint's numbers."""
 UNITS = {STIFFNESS: 100.0, DAMPING: 5.0}
 """Units of the gains in the description: N m/rad, N m s/rad."""
 NAMES = {STIFFNESS: "a stiffness of {} N m/rad", DAMPING: "a damping of {} N m s/rad"}
@@ -41,7 +39,7 @@ def interface_on(model: Model, interface: RobotInterface) -> tuple[RobotInterfac
     own = ~model.is_policys
     if TERM not in interface.constants or _is_scaled(interface) or not own.any():
         return interface, None
-    told = interface.constants[TERM].reshape(COUNT, -1).copy()
+    told = interface.constants[TERM].reshape(len(DESCRIPTORS), -1).copy()
     columns, joints = interface.columns, interface.joint_of_slot
     found = []
     for place, gains in ((STIFFNESS, _stiffness(model)), (DAMPING, _damping(model))):
