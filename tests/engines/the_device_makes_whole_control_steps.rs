@@ -190,6 +190,20 @@ fn that_are_timed_where_nobody_knows_what_is_fastest() {
     assert_eq!(either.steps_on_device(), 0);
 }
 
+/// Pushes a link of each robot for nine physics steps, as a caller does.
+fn push_links(sim: &mut Sim) {
+    let force = LinkForce {
+        link: 3,
+        in_world: true,
+        point: [0.01, 0.0, -0.05],
+        force: [8.0, -3.0, 5.0],
+        torque: [0.1, 0.2, -0.3],
+        steps: 9,
+    };
+    let world = sim.world_mut();
+    world.query::<&mut LinkForces>().iter_mut(world).for_each(|mut forces| forces.0 = vec![force]);
+}
+
 #[test]
 fn that_flow_with_the_host_where_the_device_cannot() {
     let options = busy(&["unitree_a1"], 34);
@@ -198,18 +212,7 @@ fn that_flow_with_the_host_where_the_device_cannot() {
     for t in 0..40 {
         if t == 12 {
             // forces of a caller are the host's
-            let force = LinkForce {
-                link: 3,
-                in_world: true,
-                point: [0.01, 0.0, -0.05],
-                force: [8.0, -3.0, 5.0],
-                torque: [0.1, 0.2, -0.3],
-                steps: 9,
-            };
-            for sim in [&mut cpu, &mut device] {
-                let world = sim.world_mut();
-                world.query::<&mut LinkForces>().iter_mut(world).for_each(|mut forces| forces.0 = vec![force]);
-            }
+            [&mut cpu, &mut device].into_iter().for_each(push_links);
         }
         step(&mut cpu, t);
         flow(&host, &mut device, &cpu.batch().actions.clone());
@@ -406,16 +409,7 @@ fn between_changes_that_a_caller_makes() {
                 bodies.iter_mut(world).for_each(|(env, mut body)| body.0.mass[1] *= 1.0 + 0.01 * env.0 as f32);
             }
             if t == 20 {
-                let force = LinkForce {
-                    link: 3,
-                    in_world: true,
-                    point: [0.01, 0.0, -0.05],
-                    force: [8.0, -3.0, 5.0],
-                    torque: [0.1, 0.2, -0.3],
-                    steps: 9,
-                };
-                let world = sim.world_mut();
-                world.query::<&mut LinkForces>().iter_mut(world).for_each(|mut forces| forces.0 = vec![force]);
+                push_links(sim);
             }
             if t == 35 {
                 sim.set_commands(Some(&[0.4, 0.1, -0.2].repeat(34))).unwrap();
