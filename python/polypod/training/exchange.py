@@ -15,9 +15,6 @@ class Exchange:
     Graphs of the device read and write `inputs`, `observed` and `drawn`, so these tensors stay.
     """
 
-    flows = False
-    """Whether the host goes on while a control step is made; else it waits for the actions."""
-
     def __init__(self, env: VecEnv, steps: int) -> None:
         """Reserves memory for an iteration of `steps` control steps of `env`."""
         observed, device = env.get_observations(), torch.device(env.device)
@@ -56,8 +53,6 @@ class CardExchange(Exchange):
     Observations and actions are the simulator's own arrays. The host queues the steps of an
     iteration and waits for none of them.
     """
-
-    flows = True
 
     def __init__(self, env: VecEnv, steps: int) -> None:
         """Finds the simulator's arrays, and reserves memory for what an iteration tells."""

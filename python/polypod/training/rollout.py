@@ -78,7 +78,7 @@ class Rollout(Samples):
             exchange.observe()
             self._graphs.run("act", self._act)
             exchange.fetch_actions()
-            if not exchange.flows:
+            if not isinstance(exchange, CardExchange):
                 self._log(logger, told, step - 1)  # while the device computes
                 self._synchronize()
             exchange.step(step)
