@@ -9,6 +9,8 @@ import math
 from collections.abc import Collection
 from xml.etree import ElementTree
 
+from polypod.urdf_elements import link_at, mass_of
+
 MOVING = ("revolute", "continuous", "prismatic")
 SUBSTANTIAL = 0.1
 """Among links that move together, those lighter than this share of the heaviest are no end."""
@@ -34,7 +36,7 @@ def add_boxes(robot: ElementTree.Element, held: Collection[str]) -> list[str]:
         ValueError: for a number that is none; the reader of URDFs names it.
     """
     links = {str(link.get("name")): link for link in robot.findall("link")}
-    above = {_link(joint, "child"): joint for joint in robot.findall("joint")}
+    above = {link_at(joint, "child"): joint for joint in robot.findall("joint")}
 
     def moves(joint: ElementTree.Element) -> bool:
         return joint.get("type") in MOVING and joint.find("mimic") is None and joint.get("name") not in held
@@ -44,10 +46,10 @@ def add_boxes(robot: ElementTree.Element, held: Collection[str]) -> list[str]:
         for _ in links:
             if name not in above or moves(above[name]):
                 break
-            name = _link(above[name], "parent")
+            name = link_at(above[name], "parent")
         return name
 
-    carrying = {part(_link(joint, "parent")) for joint in above.values() if moves(joint)}
+    carrying = {part(link_at(joint, "parent")) for joint in above.values() if moves(joint)}
     ends: dict[str, list[str]] = {}
     for name in links:
         first = part(name)
@@ -57,8 +59,8 @@ def add_boxes(robot: ElementTree.Element, held: Collection[str]) -> list[str]:
         return []
     chosen = []
     for names in ends.values():
-        least = SUBSTANTIAL * max(max(_mass(links[name]) for name in names), TOKEN / SUBSTANTIAL)
-        heavy = [name for name in names if _mass(links[name]) >= least]
+        least = SUBSTANTIAL * max(max(mass_of(links[name]) for name in names), TOKEN / SUBSTANTIAL)
+        heavy = [name for name in names if mass_of(links[name]) >= least]
         carriers = {other for name in heavy for other in _carriers(name, above)}
         chosen += [name for name in heavy if name not in carriers]
     return [name for name in chosen if _add_box(links[name])]
@@ -70,23 +72,13 @@ def note(link: str) -> str:
     return f'link "{link}": {problem}; write a <collision> with a sphere, box, cylinder or capsule'
 
 
-def _link(joint: ElementTree.Element, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else found.get("link", "")
-
-
 def _carriers(name: str, above: dict[str, ElementTree.Element]) -> list[str]:
     """Links between this one and the root."""
     found: list[str] = []
     while name in above and len(found) < len(above):
-        name = _link(above[name], "parent")
+        name = link_at(above[name], "parent")
         found.append(name)
     return found
-
-
-def _mass(link: ElementTree.Element) -> float:
-    mass = link.find("inertial/mass")
-    return 0.0 if mass is None else float(mass.get("value", 0.0))
 
 
 def _add_box(link: ElementTree.Element) -> bool:
@@ -95,7 +87,7 @@ def _add_box(link: ElementTree.Element) -> bool:
     if inertial is None or inertia is None:
         return False
     moments = [float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz")]
-    squares = [6.0 / _mass(link) * (sum(moments) - 2.0 * moment) for moment in moments]
+    squares = [6.0 / mass_of(link) * (sum(moments) - 2.0 * moment) for moment in moments]
     size = [math.sqrt(max(square, 0.0)) for square in squares]
     longest = max(size)
     if not 0.0 < longest <= LARGEST:

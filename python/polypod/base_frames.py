@@ -51,10 +51,9 @@ def put_upright(robot: ElementTree.Element) -> str | None:
     Returns:
         A line that says what was assumed; None where the axes are right or unknown.
     """
-    found = _Axes.of(robot)
-    if found is None or ROOT in found.frames or found.lateral == 1 or not len(found.limbs):
+    if (lying := _lying(robot)) is None:
         return None
-    _, up, sign = found.down()
+    found, up, sign = lying
     root = next(str(link) for link in found.frames)
     turn = found.upright(up, sign).T
     ElementTree.SubElement(robot, "link", {"name": ROOT})
@@ -73,11 +72,10 @@ def upright_axes(robot: ElementTree.Element) -> Array | None:
     if (standing := _standing(robot)) is not None:
         _, found, up, sign = standing
         return found.upright(up, sign)
-    lying = _Axes.of(robot)
-    if lying is None or ROOT in lying.frames or lying.lateral == 1 or not len(lying.limbs):
+    if (lying := _lying(robot)) is None:
         return None
-    _, up, sign = lying.down()
-    return lying.upright(up, sign)
+    found, up, sign = lying
+    return found.upright(up, sign)
 
 
 def turn_upright(robot: ElementTree.Element) -> str | None:
@@ -94,6 +92,15 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     link, found, up, sign = standing
     _turn(robot, link, found.upright(up, sign))
     return found.assumption(str(link.get("name")), up, sign)
+
+
+def _lying(robot: ElementTree.Element) -> "tuple[_Axes, int, float] | None":
+    """The axes of a robot whose joints pitch about x or z, and the axis that is up."""
+    found = _Axes.of(robot)
+    if found is None or ROOT in found.frames or found.lateral == 1 or not len(found.limbs):
+        return None
+    _, up, sign = found.down()
+    return found, up, sign
 
 
 def _standing(robot: ElementTree.Element) -> "tuple[ElementTree.Element, _Axes, int, float] | None":

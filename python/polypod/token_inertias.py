@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from polypod.arrays import Array
+from polypod.urdf_elements import link_at, mass_of
 
 LEAST_LINKS = 3
 """Number of links with the same moments, which are placeholders if one of them is too large or too
@@ -50,7 +51,7 @@ def replace(robot: ElementTree.Element) -> list[str]:
         link
         for moment, links in alike.items()
         if len(links) >= LEAST_LINKS
-        and any(not SMALLEST * size <= _ball(moment, _mass(link)) <= size for link in links)
+        and any(not SMALLEST * size <= _ball(moment, mass_of(link)) <= size for link in links)
         for link in links
     ]
     for link in tokens:
@@ -69,7 +70,7 @@ def note(links: list[str]) -> str:
 def _moment(link: ElementTree.Element) -> float | None:
     """The moment of a link that has the same about all axes, kg m^2."""
     inertia = link.find("inertial/inertia")
-    if inertia is None or not _mass(link) > 0.0:
+    if inertia is None or not mass_of(link) > 0.0:
         return None
     moments = [float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz")]
     products = [float(inertia.get(key, 0.0)) for key in ("ixy", "ixz", "iyz")]
@@ -79,11 +80,6 @@ def _moment(link: ElementTree.Element) -> float | None:
     return moments[0] if is_same and moments[0] > 0.0 else None
 
 
-def _mass(link: ElementTree.Element) -> float:
-    mass = link.find("inertial/mass")
-    return 0.0 if mass is None else float(mass.get("value", 0.0))
-
-
 def _ball(moment: float, mass: float) -> float:
     """Diameter of the uniform ball of a moment, m."""
     return 2.0 * math.sqrt(2.5 * moment / mass)
@@ -91,20 +87,20 @@ def _ball(moment: float, mass: float) -> float:
 
 def _size(robot: ElementTree.Element) -> float:
     """The farthest end of a link from the root, m: a chain's last length counts twice."""
-    above = {_link(joint, "child"): joint for joint in robot.findall("joint")}
+    above = {link_at(joint, "child"): joint for joint in robot.findall("joint")}
     farthest = 0.0
     for name in above:
         lengths: list[float] = []
         while name in above and len(lengths) <= len(above):
             lengths.append(float(np.linalg.norm(_place(above[name]))))
-            name = _link(above[name], "parent")
+            name = link_at(above[name], "parent")
         farthest = max(farthest, sum(lengths) + lengths[0])
     return farthest
 
 
 def _tip(robot: ElementTree.Element, link: ElementTree.Element) -> Array:
     """The end of a link's bar in its frame, m: the farthest joint below, or beyond its centre."""
-    places = [_place(joint) for joint in robot.findall("joint") if _link(joint, "parent") == link.get("name")]
+    places = [_place(joint) for joint in robot.findall("joint") if link_at(joint, "parent") == link.get("name")]
     origin = link.find("inertial/origin")
     places.append(2.0 * (np.zeros(3) if origin is None else _numbers(origin)))
     tip = max(places, key=lambda place: float(np.linalg.norm(place)))
@@ -116,7 +112,7 @@ def _write_bar(link: ElementTree.Element, tip: Array) -> None:
     length, inertia = float(np.linalg.norm(tip)), link.find("inertial/inertia")
     if inertia is None:
         return
-    along, mass = tip / length, _mass(link)
+    along, mass = tip / length, mass_of(link)
     across, about = (mass / 12.0 * factor * length**2 for factor in (1.0 + WIDTH**2, 2.0 * WIDTH**2))
     tensor = across * np.eye(3) + (about - across) * np.outer(along, along)
     for row, first in enumerate("xyz"):
@@ -127,11 +123,6 @@ def _write_bar(link: ElementTree.Element, tip: Array) -> None:
     if origin is not None:
         # the tensor is along the axes of the link
         origin.set("rpy", "0 0 0")
-
-
-def _link(joint: ElementTree.Element, end: str) -> str:
-    found = joint.find(end)
-    return "" if found is None else found.get("link", "")
 
 
 def _place(joint: ElementTree.Element) -> Array:
