@@ -62,7 +62,7 @@ class TrainFile(TypedDict):
     """Tells the file from all others: its absolute path, or that of a built-in file within the
     repository."""
     folder: str | None
-    """Where relative paths begin; None for a built-in file."""
+    """Folder in which relative paths begin; None for a built-in file."""
 
 class RobotDraft(TypedDict):
     """A robot config as text."""
@@ -87,11 +87,11 @@ class TerrainEntry(TypedDict):
     cell: float
     """Distance of two heights."""
     heights: npt.NDArray[np.float32]
-    """[x, y], as the articulated engine knows them."""
+    """Heights of the ground as the articulated engine knows it, [x, y]."""
     vertices: npt.NDArray[np.float32]
-    """[n, 3], of the generated terrain; none without."""
+    """Corners of the generated terrain, [n, 3]; none without."""
     triangles: npt.NDArray[np.uint32]
-    """[m, 3], three vertices each."""
+    """Vertices of each triangle, [m, 3]."""
     tiles: list[tuple[int, int, str, tuple[float, float]]]
     """Level (row), column, type and middle of each tile."""
     pits: list[tuple[tuple[float, float], tuple[float, float]]]
@@ -105,29 +105,31 @@ class LinkStates(TypedDict):
     """
 
     pos: npt.NDArray[np.float32]
-    """[n, links, 3], origins relative to the env's origin on the ground, m, as `State.base_pos`."""
+    """Origins relative to the env's origin on the ground, m, as `State.base_pos`, [n, links, 3]."""
     quat: npt.NDArray[np.float32]
-    """[n, links, 4], orientations: w, x, y, z with w >= 0."""
+    """Orientations, [n, links, 4]: w, x, y, z with w >= 0."""
     lin_vel: npt.NDArray[np.float32]
-    """[n, links, 3], velocities of the origins, m/s."""
+    """Velocities of the origins, m/s, [n, links, 3]."""
     ang_vel: npt.NDArray[np.float32]
-    """[n, links, 3], angular velocities, rad/s."""
+    """Angular velocities, rad/s, [n, links, 3]."""
     contact_force: npt.NDArray[np.float32]
-    """[n, links, 3], net contact forces of the last physics step, N."""
+    """Net contact forces of the last physics step, N, [n, links, 3]."""
 
 class Parameters(TypedDict):
     """Present parameters of the n envs of a robot, float32."""
 
     static_friction: npt.NDArray[np.float32]
-    """[n], between robot and ground, combined."""
+    """Static friction between robot and ground, combined, [n]."""
     dynamic_friction: npt.NDArray[np.float32]
-    """[n], between robot and ground, combined."""
+    """Dynamic friction between robot and ground, combined, [n]."""
     mass: npt.NDArray[np.float32]
-    """[n, links], kg, in the order of `VecSim.link_names`; the base is the first."""
+    """Masses of the links in the order of `VecSim.link_names`, kg, [n, links]; the base is the
+    first."""
     stiffness: npt.NDArray[np.float32]
-    """[n, num_actions], N m/rad, canonical order; 0 for missing joints and for networks."""
+    """Stiffness of the gains, N m/rad, [n, num_actions], canonical order; 0 for missing joints and
+    for networks."""
     damping: npt.NDArray[np.float32]
-    """[n, num_actions], N m s/rad, canonical order."""
+    """Damping of the gains, N m s/rad, [n, num_actions], canonical order."""
 
 class StateValues(TypedDict, total=False):
     """Arguments of `VecSim.set_state` by name."""
@@ -434,7 +436,8 @@ class VecSim:
     feet_names: list[str]
     """Names of the legs whose feet are columns of `state`."""
     action_mask: npt.NDArray[np.bool_]
-    """[num_envs, num_actions], True where an env's robot has a joint. A copy."""
+    """Mask of the actions, [num_envs, num_actions]: True where an env's robot has a joint. A
+    copy."""
     is_padded: bool
     """Whether some robots lack some of the action's columns, also robots whose envs are another
     worker's."""
@@ -449,7 +452,7 @@ class VecSim:
     observation_layout: list[tuple[str, int]]
     """(term, size) of the policy's observation, in order."""
     observation_groups: dict[str, tuple[int, int]]
-    """By name of the observation group, the half-open range of its columns in a row of all groups.
+    """Half-open range of the columns of each observation group in a row of all groups.
 
     The group `policy` comes first; a task names the others in its `[observations]`.
     """
@@ -498,7 +501,7 @@ class VecSim:
         """
 
     def observation_mask(self, robot: str, group: str = "policy") -> list[bool]:
-        """[size of the group], whether the robot has each number.
+        """Mask of the numbers that the robot has, [size of the group].
 
         Numbers of joints that it lacks are 0.
 
@@ -508,7 +511,7 @@ class VecSim:
         """
 
     def observation_shares(self, group: str = "policy") -> list[float]:
-        """[size of the group], share of the envs, of all workers, whose robot has each number.
+        """Share of the envs, of all workers, whose robot has each number, [size of the group].
 
         Raises:
             UnknownNameError: for an unknown observation group.
@@ -578,7 +581,7 @@ class VecSim:
         """
 
     def qpos(self, robot: str) -> npt.NDArray[np.float64]:
-        """[n, 7 + joints], positions of the n envs of `env_ids(robot)`, as `Simulation.qpos`.
+        """Positions of the n envs of `env_ids(robot)`, as `Simulation.qpos`, [n, 7 + joints].
 
         A copy.
 
@@ -586,7 +589,7 @@ class VecSim:
         """
 
     def qvel(self, robot: str) -> npt.NDArray[np.float64]:
-        """[n, 6 + joints], their velocities, as in `Simulation.qvel`. A copy."""
+        """Velocities of these envs, as in `Simulation.qvel`, [n, 6 + joints]. A copy."""
 
     def link_pose(self, robot: str) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Positions and quaternions (w, x, y, z) of the links' URDF frames.
@@ -607,7 +610,7 @@ class VecSim:
         """
 
     def contact_forces(self, robot: str) -> npt.NDArray[np.float64]:
-        """[n, bodies, 3], net force on each contact body in the last physics step, N, world axes.
+        """Net force on each contact body in the last physics step, N, world axes, [n, bodies, 3].
 
         A copy.
         """
@@ -805,7 +808,7 @@ class VecSim:
         """
 
     def observation_of(self, group: str) -> npt.NDArray[np.float32]:
-        """[num_envs, n], an observation group: a view as stable as `observation`.
+        """An observation group, [num_envs, n]: a view as stable as `observation`.
 
         Raises:
             UnknownNameError: for a group that the task does not have.
@@ -813,29 +816,29 @@ class VecSim:
 
     @property
     def reward(self) -> npt.NDArray[np.float32]:
-        """[num_envs], of the last step, already multiplied by `step_dt`."""
+        """Rewards of the last step, already multiplied by `step_dt`, [num_envs]."""
 
     @property
     def terminated(self) -> npt.NDArray[np.bool_]:
-        """[num_envs], the episode ended in a terminal state (a fall)."""
+        """Whether the episode ended in a terminal state (a fall), [num_envs]."""
 
     @property
     def truncated(self) -> npt.NDArray[np.bool_]:
-        """[num_envs], the episode ended by its time limit."""
+        """Whether the episode ended by its time limit, [num_envs]."""
 
     @property
     def final_obs(self) -> npt.NDArray[np.float32]:
-        """[num_envs, num_obs], last observations of the episodes that ended in this step.
+        """Last observations of the episodes that ended in this step, [num_envs, num_obs].
 
         Valid in the rows of `final_mask`.
         """
 
     def final_obs_of(self, group: str) -> npt.NDArray[np.float32]:
-        """[num_envs, n], as `final_obs`, of an observation group. Raises UnknownNameError."""
+        """Last observations of a group, [num_envs, n], as `final_obs`. Raises UnknownNameError."""
 
     @property
     def final_mask(self) -> npt.NDArray[np.bool_]:
-        """[num_envs], envs whose episode ended in the last step and that were reset in it."""
+        """Whether the env's episode ended and the env was reset in the last step, [num_envs]."""
 
     def state(self, field: str) -> npt.NDArray[np.float32]:
         """One quantity of every robot, float32 [num_envs, n], gathered now: a copy for reading.
@@ -867,7 +870,7 @@ class VecSim:
         """
 
     def env_origins(self) -> npt.NDArray[np.float64]:
-        """[num_envs, 3], origins of the envs in the world, m; a copy.
+        """Origins of the envs in the world, m, [num_envs, 3]; a copy.
 
         Zeros where each env has separate ground.
 
@@ -890,20 +893,20 @@ class VecSim:
 
     @property
     def episode_length(self) -> npt.NDArray[np.int64]:
-        """[num_envs], control steps of the current episodes so far. A copy."""
+        """Control steps of the current episodes so far, [num_envs]. A copy."""
 
     def set_episode_length(self, episode_length: npt.NDArray[np.int64]) -> None:
         """Sets the control steps so far, int64 [num_envs]; learners spread the resets with it."""
 
     @property
     def command(self) -> npt.NDArray[np.float32]:
-        """[num_envs, 3], commanded velocity in the base frame: x, y (m/s), yaw rate (rad/s)."""
+        """Commanded velocity in the base frame, [num_envs, 3]: x, y (m/s), yaw rate (rad/s)."""
 
     def command_columns(self) -> dict[str, list[str]]:
         """Names of the numbers of each command of the task, by the command's name."""
 
     def command_of(self, name: str) -> npt.NDArray[np.float32]:
-        """[num_envs, columns], present numbers of a command of the task. A copy.
+        """Present numbers of a command of the task, [num_envs, columns]. A copy.
 
         `command_columns` names them; `command_specs` has their units.
         """
@@ -993,7 +996,7 @@ class VecSim:
         """Names of the reward terms of the robot's set, in order. Raises UnknownNameError."""
 
     def reward_sums(self, robot: str) -> npt.NDArray[np.float32]:
-        """[n, terms], weighted reward terms of the n envs of `env_ids(robot)`.
+        """Weighted reward terms of the n envs of `env_ids(robot)`, [n, terms].
 
         Sums over the episode so far; a copy.
 
@@ -1001,7 +1004,7 @@ class VecSim:
         """
 
     def height_scan(self) -> npt.NDArray[np.float32]:
-        """[num_envs, rays, 3], points on the ground that the height scanners' rays hit, world, m.
+        """Points on the ground that the height scanners' rays hit, world, m, [num_envs, rays, 3].
 
         A copy.
 
@@ -1015,7 +1018,7 @@ class VecSim:
         """
 
     def episode_stats(self, clear: bool = True) -> dict[str, dict[str, float]]:
-        """Per robot, over the episodes that ended since the statistics were last cleared.
+        """Statistics of each robot over the episodes that ended since they were last cleared.
 
         Keys: episodes, falls, fall_rate, episode_length_s (s), error_vel_xy (m/s), error_vel_yaw
         (rad/s), command_xy (m/s), command_yaw (rad/s), reward_per_s. The command's means are the
@@ -1286,7 +1289,7 @@ class Simulation:
 
     @property
     def default_qpos(self) -> npt.NDArray[np.float64]:
-        """[nq], the pose to begin with: the robot's default pose.
+        """The pose to begin with, [nq]: the robot's default pose.
 
         For a URDF zero, or the limit nearest to it.
 
@@ -1296,37 +1299,37 @@ class Simulation:
 
     @property
     def joint_range(self) -> npt.NDArray[np.float64]:
-        """[num_joints, 2], lower and upper position limits, rad or m.
+        """Lower and upper position limits, rad or m, [num_joints, 2].
 
         Infinite where there is none.
         """
 
     @property
     def effort_limit(self) -> npt.NDArray[np.float64]:
-        """[num_joints], largest effort at construction, N m or N; infinite where there is no limit.
+        """Largest effort at construction, N m or N, [num_joints]; infinite where there is no limit.
 
         Where it depends on the position, this is the largest one.
         """
 
     @property
     def qpos(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nq], positions of all envs."""
+        """Positions of all envs, [num_envs, nq]."""
 
     @property
     def qvel(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nv], velocities of all envs."""
+        """Velocities of all envs, [num_envs, nv]."""
 
     @property
     def contact_forces(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_links, 3], net contact force on each link in the last step, world, N."""
+        """Net contact force on each link in the last step, world, N, [num_envs, num_links, 3]."""
 
     @property
     def joint_torque(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_joints], effort of the actuators in the last physics step, N m or N."""
+        """Effort of the actuators in the last physics step, N m or N, [num_envs, num_joints]."""
 
     @property
     def link_drift(self) -> npt.NDArray[np.float64]:
-        """[num_envs], largest distance of a link's origin from its forward kinematics, m.
+        """Largest distance of a link's origin from its forward kinematics, m, [num_envs].
 
         Only under the engine "avian" do joints come apart; elsewhere it is zero.
         """
@@ -1398,10 +1401,10 @@ class Simulation:
         """
 
     def mass_matrix(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nv, nv], armature included."""
+        """Mass matrices, armature included, [num_envs, nv, nv]."""
 
     def bias_force(self) -> npt.NDArray[np.float64]:
-        """[num_envs, nv], `c` in `M qacc + c = force`, gravity included."""
+        """Bias force `c` in `M qacc + c = force`, gravity included, [num_envs, nv]."""
 
     def forward_dynamics(self, torque: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Accelerations [num_envs, nv] without contacts, limits, damping and friction.
@@ -1418,7 +1421,7 @@ class Simulation:
         """
 
     def jacobian(self, link: str | int, point: Sequence[float] = (0.0, 0.0, 0.0)) -> npt.NDArray[np.float64]:
-        """[num_envs, 6, nv], Jacobian of the point's linear and the link's angular velocity.
+        """Jacobian of the point's linear and the link's angular velocity, [num_envs, 6, nv].
 
         Both in world axes.
 
@@ -1428,7 +1431,7 @@ class Simulation:
         """
 
     def ground_gap(self) -> npt.NDArray[np.float64]:
-        """[num_envs, num_links], distance of each link from the ground, m, negative inside it.
+        """Distance of each link from the ground, m, negative inside it, [num_envs, num_links].
 
         Inf without shapes.
         """
@@ -1440,7 +1443,7 @@ class Simulation:
         """
 
     def center_of_mass(self) -> npt.NDArray[np.float64]:
-        """[num_envs, 3], in the world, m."""
+        """Centres of mass in the world, m, [num_envs, 3]."""
 
     def momentum(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Linear momentum, kg m/s, and angular momentum about the centre of mass, kg m^2/s.
@@ -1645,14 +1648,25 @@ def draft_robot(
     joint_roles: Mapping[str, str] = ...,
     locked_joints: Mapping[str, float] = ...,
     gain_factor: float = ...,
+    balanced: bool = ...,
 ) -> RobotDraft:
-    """A first config for the robot of the URDF file at `path`: roles, standing pose, gains, ranges.
+    """Drafts a config for the robot of the URDF file at `path`: roles, pose, gains, ranges.
 
-    `name` is the robot's (the URDF's), `urdf` what the config says under that key (`path`),
-    `package_dirs` the folder of each ROS package in `package://` names, `feet` the link that is the
-    foot of a leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`) and `joint_roles` the joint of a slot where
-    geometry alone does not tell, `locked_joints` the position (rad or m) of each joint that is
-    held; `gain_factor` multiplies the gains. Raises RobotError.
+    Args:
+        path: the URDF file.
+        name: the robot's name; None: that of the URDF.
+        urdf: text of the config under `urdf`; None: `path`.
+        package_dirs: ROS package -> folder, for `package://` names.
+        feet: leg (`LF`, `LH`, `RF`, `RH`; `L`, `R`) -> link that is its foot, where geometry alone
+            does not tell.
+        joint_roles: slot -> joint of the URDF, where geometry alone does not tell.
+        locked_joints: joint -> position at which it is held, rad or m.
+        gain_factor: multiplies the gains that follow from weight and leg length.
+        balanced: whether two legs get gains on which a policy balances, as makers choose them, in
+            the place of stiff ones, which show whether the pose is sound.
+
+    Raises:
+        RobotError: where the URDF cannot be read or is no legged robot's.
     """
 
 def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, base_frames, token_inertias, two_legs, urdf_copies
+from polypod import _core, bare_ends, base_frames, token_inertias, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -37,7 +37,7 @@ SAG = 0.3
 """Largest mean distance of a standing robot's joint from the default pose, rad. Makers' gains allow
 as much: ANYmal D gives way by 0.28 rad and Go2 by 0.26."""
 ON_TWO_LEGS = ("biped", "humanoid")
-"""Kinds whose gains are those of `polypod.two_legs`, on which a policy balances."""
+"""Kinds whose gains a policy needs to balance; see src/draft/balance.rs."""
 STIFFER = 1.5
 """Factor on the gains for the next try."""
 TRIES = 4
@@ -49,13 +49,14 @@ AT_ONCE = 0.05
 MANY_HELD = 4
 """Number of joints, held for the same reason, from which one line says it for all."""
 _HELD = re.compile(r"\[locked_joints\]: .* is (a finger|a rod or a gear|no leg's|coupled).* held at .*")
+_LIMIT = re.compile(r"\[actuators\]: the URDF(?:'s| has no) (effort|velocity) limit ")
 SETTLED = 1.0
 """At the end of standing, in which the weight is measured, s."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Standing:
-    """How a robot holds its default pose."""
+    """Result of letting a robot hold its default pose."""
 
     falls: int
     """Number of the `NUM_ENVS` robots that fell."""
@@ -85,11 +86,12 @@ class NewRobot:
     notes: list[str]
     """Assumptions, one line each."""
     standing: Standing
-    """On the gains of the config."""
+    """Result on the gains of the config."""
     pose_holds: bool
-    """Whether it stands in its pose; of two legs on stiff gains, which the config does not have."""
+    """Whether it stands in its pose; two legs are tried on stiff gains, which the config does not
+    have."""
     gain_factor: float
-    """On the gains that follow from weight and leg length."""
+    """Factor on the gains that follow from weight and leg length."""
     kind: str
     """`biped`, `humanoid`, `quadruped`, `hexapod` ..."""
     is_quadruped: bool
@@ -205,19 +207,8 @@ def new_robot(
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
 
-    motors: list[str] = []
-
-    def written(draft: Draft, *, is_stiff: bool) -> str:
-        """The text of a config, on the draft's gains or, of two legs, on those of makers."""
-        text = draft["toml"]
-        if not is_stiff:
-            write_text(path, text)
-            text, motors[:] = two_legs.with_gains(text, path)
-        text = text if refine is None else refine(text)
-        if two_legs.ASSUMED not in text:
-            # limits come from a file that has them
-            motors.clear()
-        return text
+    def written(draft: Draft) -> str:
+        return draft["toml"] if refine is None else refine(draft["toml"])
 
     text, tell = "", progress or (lambda part, done, total: None)
     for attempt in range(TRIES):
@@ -229,7 +220,7 @@ def new_robot(
         if attempt == 0:
             _check_place(path, draft["name"], force)
         try:
-            before, text = text, written(draft, is_stiff=True)
+            before, text = text, written(draft)
             if text == before:
                 # the gains are not the draft's
                 factor = 1.0
@@ -246,8 +237,8 @@ def new_robot(
     if draft["kind"] in ON_TWO_LEGS:
         # stiff gains tell whether the pose is sound, and no more
         factor = 1.0
-        draft = drafted(gain_factor=1.0)
-        write_text(path, written(draft, is_stiff=False))
+        draft = drafted(balanced=True)
+        write_text(path, text := written(draft))
         standing = stand(path, functools.partial(tell, "last try: stands"))
         if needs is None and not standing.holds:
             stiff = "" if pose_holds else ", on stiff gains too"
@@ -257,12 +248,19 @@ def new_robot(
     elif needs is not None and factor > 1.0:
         # softer gains move the better: stiffer ones did not help
         factor = 1.0
-        draft = drafted(gain_factor=1.0)
-        write_text(path, written(draft, is_stiff=True))
+        draft = drafted()
+        write_text(path, text := written(draft))
     notes = [note for note in draft["notes"] if not base_frames.is_taken(note)]
-    notes = [*(copy.notes if copy is not None else []), *_held_as_one(notes), *motors]
+    notes = [*(copy.notes if copy is not None else []), *_held_as_one(_still_assumed(notes, text))]
     name, kind, is_quadruped = draft["name"], draft["kind"], task_of(path) == TASK
     return NewRobot(name, path, notes, standing, pose_holds, factor, kind, is_quadruped, needs)
+
+
+def _still_assumed(notes: Collection[str], text: str) -> list[str]:
+    """Notes without those on motors' limits that a refined config has from another file."""
+    assumed = {line.split("_limit ")[0] for line in text.splitlines() if ", assumed: " in line}
+    found = [_LIMIT.match(note) for note in notes]
+    return [note for note, limit in zip(notes, found, strict=True) if limit is None or limit[1] in assumed]
 
 
 def _held_as_one(notes: Collection[str]) -> list[str]:

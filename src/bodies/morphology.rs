@@ -160,10 +160,7 @@ impl MorphologyModel {
         let nominal = Parameters::from_scalars(&topology, &parameters);
         let lowest = lowest_point(&topology, &parameters, &default_position, &UP);
         let links = model.forward_kinematics(&default_position);
-        let legs = roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg);
-        let hips: Vec<f64> =
-            legs.filter_map(|leg| leg.joints.first()).map(|hip| links[hip.joint + 1].translation.z).collect();
-        let hip_height = hips.iter().sum::<f64>() / hips.len().max(1) as f64;
+        let hip_height = hip_height(&model, &roles, &default_position);
         let feet = roles.foot_body.iter().zip(&roles.foot_point);
         let feet = feet.map(|(&body, &point)| links[model.bodies[body].link].transform_point(point));
         let default_feet = feet.map(|place| place.to_array().map(|x| x as f32)).collect();
@@ -517,9 +514,18 @@ fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
     }
 }
 
-/// How far the lowest point of a robot's collision shapes is above the plane with this unit normal
-/// through its base's origin, m, at these joint positions with the base level; negative below the
-/// plane, 0 without shapes.
+/// Mean height of the first joints of the legs above the frame of the base, m.
+pub(crate) fn hip_height(model: &Model, roles: &Roles, position: &[f64]) -> f64 {
+    let links = model.forward_kinematics(position);
+    let legs = roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg);
+    let hips: Vec<f64> =
+        legs.filter_map(|leg| leg.joints.first()).map(|hip| links[hip.joint + 1].translation.z).collect();
+    hips.iter().sum::<f64>() / hips.len().max(1) as f64
+}
+
+/// Height of the lowest point of a robot's collision shapes above the plane with this unit normal
+/// through its base's origin, m. The base is level, the joints have these positions. Negative below
+/// the plane, 0 without shapes.
 ///
 /// Points, rims of cylinders and balls are those that the engine pushes out of the ground. A robot
 /// that is set down by this height touches the ground and is not in it.

@@ -1,7 +1,7 @@
 //! Gains and limits of a draft: the URDF's limits where it has any, and the rest from weight, leg
 //! length and effort.
 
-use crate::robot::{Joint, LimbKind, Model, Role, Roles};
+use crate::robot::{Joint, LimbKind, Model, Roles};
 
 use super::body;
 use super::round;
@@ -14,13 +14,13 @@ use super::stance::GRAVITY;
 /// robots are stiffer. Without effort limits it is the first alone.
 const STIFFNESS_OF_LOAD: f64 = 0.5;
 const STIFFNESS_OF_EFFORT: f64 = 1.25;
-const USUAL_MASS: f64 = 15.0;
-const POWER_OF_MASS: f64 = -0.2;
+pub(super) const USUAL_MASS: f64 = 15.0;
+pub(super) const POWER_OF_MASS: f64 = -0.2;
 /// Bounds of that stiffness over weight times leg length: softer legs buckle, stiffer ones shake.
 const STIFFNESS_BOUNDS: [f64; 2] = [0.25, 0.8];
 /// Stiffness of two legs over weight times leg length. Standing needs it: two softer ankles do not
 /// hold the moment of the weight as the body leans. Makers choose less, 0.01 at an ankle to 1.2 at
-/// a hip, and let a policy balance.
+/// a hip, and let a policy balance: see [`balance`](super::balance).
 const STIFFNESS_OF_TWO_LEGS: f64 = 0.7;
 const DAMPING_OF_TWO_LEGS: f64 = 1.0 / 40.0;
 /// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds
@@ -62,6 +62,16 @@ pub(super) struct Drive {
     pub velocity_is: Limit,
 }
 
+impl Drive {
+    /// Whether a config has the same lines for both.
+    pub fn reads_as(&self, other: &Self) -> bool {
+        let lines = |own: &Self| {
+            (own.stiffness, own.damping, own.effort, own.velocity, own.effort_is.comment(), own.velocity_is.comment())
+        };
+        lines(self) == lines(other)
+    }
+}
+
 /// Origin of a limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Limit {
@@ -71,6 +81,8 @@ pub(super) enum Limit {
     Absent,
     /// The URDF has this number, which no motor reaches.
     Placeholder(f64),
+    /// The URDF has this number in all joints of the legs, and it is too small for a motor.
+    Uniform(f64),
 }
 
 impl Limit {
@@ -81,6 +93,15 @@ impl Limit {
             Self::Placeholder(stated)
         } else {
             Self::Stated
+        }
+    }
+
+    /// Comment on the limit in a config.
+    pub fn comment(self) -> &'static str {
+        match self {
+            Self::Stated => "",
+            Self::Uniform(_) => ", assumed: the URDF's is no motor's",
+            Self::Absent | Self::Placeholder(_) => ", assumed: not in the URDF",
         }
     }
 
@@ -115,7 +136,7 @@ impl<'a> Drives<'a> {
         let (mut of_legs, mut ankles) = (Vec::new(), Vec::new());
         for own in legs {
             of_legs.push(own.joint);
-            if matches!(own.slot.role, Role::AnklePitch | Role::AnkleRoll | Role::AnkleYaw) {
+            if own.slot.role.is_ankle() {
                 ankles.push(own.joint);
             }
         }

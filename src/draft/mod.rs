@@ -1,5 +1,6 @@
 //! First configs for robots of which only the URDF is known: roles, a standing pose, gains, ranges.
 
+mod balance;
 mod body;
 mod commands;
 mod drive;
@@ -13,8 +14,11 @@ use std::path::{Path, PathBuf};
 
 use crate::config::{ConfigError, Library};
 use crate::error::Error;
-use crate::robot::{self, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES};
-use crate::robot::{Role, Roles, Slot, Warning, load, load_holding, load_str};
+use crate::morphology::{UP, hip_height, lowest_point};
+use crate::robot::{
+    self, Articulation, CANONICAL_JOINT_NAMES, Coupled, Joint, LEGS, LimbKind, LoadOptions, Model, ROLES,
+};
+use crate::robot::{Role, Roles, Side, Slot, Warning, load, load_holding, load_str};
 use body::Standing;
 use commands::Commands;
 use drive::{Drive, Drives, Limit};
@@ -62,6 +66,9 @@ pub struct DraftOptions {
     pub locked_joints: BTreeMap<String, f64>,
     /// Multiplies the gains that follow from mass and leg length. Default: 1.
     pub gain_factor: Option<f64>,
+    /// Whether two legs get gains on which a policy balances, as makers choose them, in the place
+    /// of stiff ones, which show whether the pose is sound.
+    pub balanced: bool,
 }
 
 /// Data from which the text is written.
@@ -107,9 +114,10 @@ struct Drafted {
     /// Name of the slot, and its end: role and number.
     name: String,
     suffix: String,
+    side: Side,
     joint: usize,
     sign: f64,
-    /// Position in the default pose, in the joint's own direction, rad.
+    /// Position in the written default pose, in the joint's own direction, rad.
     angle: f64,
     drive: Drive,
 }
@@ -286,16 +294,29 @@ impl Findings<'_> {
             .map(|(slot, (&joint, &sign))| {
                 let name = slot.to_string();
                 let suffix = name[slot.place.name().len() + 1..].to_owned();
-                Drafted { suffix, name, joint, sign, angle: q[joint], drive: drives.of(joint) }
+                let angle = written_angle(self.model, joint, q[joint]);
+                Drafted { suffix, name, side: slot.place.side(), joint, sign, angle, drive: drives.of(joint) }
             })
             .collect();
+        if self.options.balanced && roles.legs.len() == 2 {
+            let body = balance::Body { mass: self.model.total_mass(), hip_height: self.hip_height(roles) };
+            body.balance(roles.slots.iter().copied().zip(self.joints.iter_mut().map(|own| &mut own.drive)).collect());
+        }
+    }
+
+    /// Height of the hips above the lowest point of the robot in the default pose, m.
+    fn hip_height(&self, roles: &Roles) -> f64 {
+        let mut q = vec![0.0; self.model.joints.len()];
+        self.joints.iter().for_each(|own| q[own.joint] = own.angle);
+        let Articulation { topology, parameters, .. } = Articulation::new(self.model, true, &[], None);
+        hip_height(self.model, roles, &q) - lowest_point(&topology, &parameters, &q, &UP)
     }
 
     /// Groups of joints with the same gains and limits, in the order of their first slots.
     fn groups(&self) -> Vec<(Drive, Vec<usize>)> {
         let mut groups: Vec<(Drive, Vec<usize>)> = Vec::new();
         for (slot, joint) in self.joints.iter().enumerate() {
-            match groups.iter_mut().find(|(drive, _)| *drive == joint.drive) {
+            match groups.iter_mut().find(|(drive, _)| drive.reads_as(&joint.drive)) {
                 Some((_, slots)) => slots.push(slot),
                 None => groups.push((joint.drive, vec![slot])),
             }
@@ -366,9 +387,13 @@ impl Findings<'_> {
         }
         let note = |(what, unit, limit, value, joints): (&str, &str, Limit, f64, Vec<&str>)| {
             let joints = joints.join(", ");
-            let from = if what == "effort" { "weight and leg length" } else { "leg length" };
+            let from = match (what, limit) {
+                (_, Limit::Uniform(_)) => "weight and hip height",
+                ("effort", _) => "weight and leg length",
+                _ => "leg length",
+            };
             let problem = match limit {
-                Limit::Placeholder(stated) => {
+                Limit::Placeholder(stated) | Limit::Uniform(stated) => {
                     format!("the URDF's {what} limit of {stated} {unit} is no motor's, for {joints}")
                 }
                 _ => format!("the URDF has no {what} limit for {joints}"),
@@ -418,6 +443,12 @@ fn identifier(name: &str) -> String {
     let words = name.to_lowercase();
     let words: Vec<&str> = words.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty()).collect();
     if words.is_empty() { "robot".to_string() } else { words.join("_") }
+}
+
+/// Angle of a joint in the text: milliradians, within its range.
+fn written_angle(model: &Model, joint: usize, angle: f64) -> f64 {
+    let range = stance::range(model, joint);
+    ((angle * 1e3).round() / 1e3).clamp(*range.start(), *range.end())
 }
 
 /// Two significant digits: a draft knows no more.

@@ -4,9 +4,9 @@ use std::fmt::{self, Write as _};
 
 use toml::Value;
 
-use super::drive::Limit;
-use super::{Drafted, Findings, GRAVITY, round, stance};
+use super::{Drafted, Findings, GRAVITY, round};
 use crate::config::matches;
+use crate::robot::Side;
 
 /// Share of weight and mass that is randomised.
 const SHARE: f64 = 0.1;
@@ -75,10 +75,8 @@ fn pose(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     )?;
     writeln!(out, "[default_pose]")?;
     for own in &findings.joints {
-        let range = stance::range(findings.model, own.joint);
-        let angle = (own.angle * 1e3).round() / 1e3;
         // no negative zero
-        writeln!(out, "{} = {:?}", own.name, own.sign * angle.clamp(*range.start(), *range.end()) + 0.0)?;
+        writeln!(out, "{} = {:?}", own.name, own.sign * own.angle + 0.0)?;
     }
     Ok(())
 }
@@ -118,9 +116,8 @@ fn actuators(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
         writeln!(out, "model = \"ideal_pd\"            # ideal_pd | dc_motor | delayed_pd")?;
         writeln!(out, "stiffness = {:?}             # N m / rad", drive.stiffness)?;
         writeln!(out, "damping = {:?}               # N m s / rad", drive.damping)?;
-        let from = |limit: Limit| if limit == Limit::Stated { "" } else { ", assumed: not in the URDF" };
-        writeln!(out, "effort_limit = {:?}          # N m{}", drive.effort, from(drive.effort_is))?;
-        writeln!(out, "velocity_limit = {:?}        # rad/s{}", drive.velocity, from(drive.velocity_is))?;
+        writeln!(out, "effort_limit = {:?}          # N m{}", drive.effort, drive.effort_is.comment())?;
+        writeln!(out, "velocity_limit = {:?}        # rad/s{}", drive.velocity, drive.velocity_is.comment())?;
     }
     Ok(())
 }
@@ -145,7 +142,14 @@ fn pattern(joints: &[Drafted], slots: &[usize]) -> (String, Vec<String>) {
     let mut names: Vec<String> = Vec::new();
     let mut patterns = Vec::new();
     let mut done: Vec<&str> = Vec::new();
-    for suffix in slots.iter().map(|slot| joints[*slot].suffix.as_str()) {
+    for own in slots.iter().map(|slot| &joints[*slot]) {
+        if own.side == Side::Middle {
+            // torso, head, tail and middle arm have roles of the same names
+            names.push(own.name.to_lowercase());
+            patterns.push(own.name.clone());
+            continue;
+        }
+        let suffix = own.suffix.as_str();
         if done.contains(&suffix) {
             continue;
         }
@@ -156,7 +160,8 @@ fn pattern(joints: &[Drafted], slots: &[usize]) -> (String, Vec<String>) {
             "KFE" => "knees".to_string(),
             _ => suffix.to_lowercase(),
         });
-        let of_role = || slots.iter().filter(|slot| joints[**slot].suffix == suffix);
+        let is_of_role = |own: &Drafted| own.side != Side::Middle && own.suffix == suffix;
+        let of_role = || slots.iter().filter(|slot| is_of_role(&joints[**slot]));
         // a pattern must not reach joints of other groups
         let whole = format!("*_{suffix}");
         let reached = joints.iter().enumerate().filter(|(_, own)| matches(&whole, &own.name));

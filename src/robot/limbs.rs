@@ -278,6 +278,11 @@ impl Role {
         )
     }
 
+    /// Whether the joint turns the foot.
+    pub const fn is_ankle(self) -> bool {
+        matches!(self, Self::AnklePitch | Self::AnkleRoll | Self::AnkleYaw)
+    }
+
     /// Whether the joint is between thigh and shank.
     pub const fn is_knee(self) -> bool {
         matches!(self, Self::Kfe | Self::Knee)
@@ -315,6 +320,28 @@ impl Slot {
             }
         };
         role.is_at(place).then_some(Self { role, nth, place })
+    }
+
+    /// Kind of the limb.
+    pub(crate) const fn limb_kind(self) -> LimbKind {
+        match (self.place, self.role) {
+            (Place::Torso, _) => LimbKind::Torso,
+            (Place::Head, _) => LimbKind::Head,
+            (Place::Tail, _) => LimbKind::Tail,
+            (Place::Arm, _) => LimbKind::Arm,
+            (
+                _,
+                Role::ShoulderPitch
+                | Role::ShoulderRoll
+                | Role::ShoulderYaw
+                | Role::Elbow
+                | Role::WristRoll
+                | Role::WristPitch
+                | Role::WristYaw
+                | Role::Finger,
+            ) => LimbKind::Arm,
+            _ => LimbKind::Leg,
+        }
     }
 
     /// The slot in a mirror between left and right.

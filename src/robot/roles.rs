@@ -323,7 +323,7 @@ fn with_named(pose: &ZeroPose<'_>, mut limbs: Vec<Limb>, named: &Overrides) -> R
         limb.joints.retain(|joint| !is_named(joint.joint));
     }
     for (&slot, &joint) in &named.joints {
-        let kind = kind_of(slot);
+        let kind = slot.limb_kind();
         if let Some(other) = limbs.iter().flat_map(|limb| &limb.joints).find(|other| other.slot == slot) {
             return Err(roles_error(
                 pose,
@@ -344,27 +344,6 @@ fn with_named(pose: &ZeroPose<'_>, mut limbs: Vec<Limb>, named: &Overrides) -> R
         limb.joints.sort_by_key(|joint| (matches!(joint.slot.role, Role::Toe | Role::Finger), joint.joint));
     }
     Ok(limbs)
-}
-
-fn kind_of(slot: Slot) -> LimbKind {
-    match (slot.place, slot.role) {
-        (Place::Torso, _) => LimbKind::Torso,
-        (Place::Head, _) => LimbKind::Head,
-        (Place::Tail, _) => LimbKind::Tail,
-        (Place::Arm, _) => LimbKind::Arm,
-        (
-            _,
-            Role::ShoulderPitch
-            | Role::ShoulderRoll
-            | Role::ShoulderYaw
-            | Role::Elbow
-            | Role::WristRoll
-            | Role::WristPitch
-            | Role::WristYaw
-            | Role::Finger,
-        ) => LimbKind::Arm,
-        _ => LimbKind::Leg,
-    }
 }
 
 /// The limb with its foot and the signs of its joints.

@@ -218,7 +218,7 @@ fn check(
 #[doc = docstring!("draft_robot")]
 #[pyfunction]
 #[pyo3(signature = (path, *, name=None, urdf=None, package_dirs=BTreeMap::new(), feet=BTreeMap::new(),
-    joint_roles=BTreeMap::new(), locked_joints=BTreeMap::new(), gain_factor=1.0))]
+    joint_roles=BTreeMap::new(), locked_joints=BTreeMap::new(), gain_factor=1.0, balanced=false))]
 fn draft_robot(
     py: Python<'_>,
     path: PathBuf,
@@ -229,9 +229,10 @@ fn draft_robot(
     joint_roles: BTreeMap<String, String>,
     locked_joints: BTreeMap<String, f64>,
     gain_factor: f64,
+    balanced: bool,
 ) -> PyResult<Bound<'_, PyDict>> {
     let gain_factor = Some(gain_factor);
-    let options = DraftOptions { name, urdf, package_dirs, feet, joint_roles, locked_joints, gain_factor };
+    let options = DraftOptions { name, urdf, package_dirs, feet, joint_roles, locked_joints, gain_factor, balanced };
     let draft = guarded(py, || draft(&path, &options))?.map_err(|error| to_python(py, error))?;
     let dict = PyDict::new(py);
     dict.set_item("name", draft.name)?;

@@ -9,7 +9,7 @@ import pytest
 import tomllib
 
 from common import ROOT
-from polypod import Simulation, _core, two_legs
+from polypod import Simulation, _core
 from polypod.new_robot import new_robot
 
 TASK = "velocity_flat_any_legged_play"
@@ -19,6 +19,26 @@ FACTORS = {"LEG": 2.0, "TORSO": 2.05, "ANKLE": 3.4, "ARM": 1.5}
 OF_ONE = {("booster_t1", "LEG"): 4.2, ("booster_t1", "TORSO"): 5.0, ("berkeley_humanoid", "ANKLE"): 5.2}
 """T1 has 200 N m/rad on 30 N m, and Berkeley Humanoid's ankles roll on 1 N m/rad."""
 DAMPING_FACTOR = 3.2
+
+
+def part_of(slot):
+    if slot.startswith("TORSO_"):
+        return "TORSO"
+    if re.search(r"_(SHOULDER|ELBOW|WRIST|FINGER)", slot) or not slot.startswith(("L_", "R_")):
+        return "ARM"
+    return "ANKLE" if "_ANKLE" in slot else "LEG"
+
+
+def stiffness(slot, mass, hip_height, effort):
+    """The rule of docs/add-a-robot.md, N m/rad."""
+    load = mass * 9.81 * hip_height
+    leg = 0.41 * (15.0 / mass) ** 0.2 * load
+    return {
+        "LEG": leg**0.75 * effort**0.25,
+        "TORSO": leg**0.5 * effort**0.5,
+        "ANKLE": min(effort, leg),
+        "ARM": min(0.085 * load, leg),
+    }[part_of(slot)]
 
 
 def info_of(robot):
@@ -53,7 +73,7 @@ def ratios(drafted, made, key):
 def test_gains_are_those_of_makers_within_a_factor(drafts, robot):
     _, drafted, made = drafts(robot)
     for slot, ratio in ratios(drafted, made, "stiffness").items():
-        part = two_legs.part_of(slot)
+        part = part_of(slot)
         factor = OF_ONE.get((robot, part), FACTORS[part])
         assert 1 / factor <= ratio <= factor, (slot, ratio)
     for slot, ratio in ratios(drafted, made, "damping").items():
@@ -66,7 +86,7 @@ def test_gains_of_legs_follow_from_those_of_other_robots(drafts):
     found = {}
     for robot in ROBOTS:
         of_legs = ratios(*drafts(robot)[1:], "stiffness")
-        found[robot] = np.array([ratio for slot, ratio in of_legs.items() if two_legs.part_of(slot) == "LEG"])
+        found[robot] = np.array([ratio for slot, ratio in of_legs.items() if part_of(slot) == "LEG"])
     for robot in ROBOTS:
         fitted = np.median([np.median(ratio) for other, ratio in found.items() if other != robot])
         assert 0.8 < fitted < 1.25
@@ -79,7 +99,7 @@ def test_a_draft_says_the_rule_and_the_limits_of_its_urdf(drafts, robot):
     made, drafted, _ = drafts(robot)
     mass, height = drafted["mass"], drafted["base_height"] + drafted["hip_height"]
     for slot, joint in zip(drafted["slots"], drafted["joint_of_slot"], strict=True):
-        stiff = two_legs.stiffness(slot, mass, height, drafted["effort_limit"][joint])
+        stiff = stiffness(slot, mass, height, drafted["effort_limit"][joint])
         assert drafted["stiffness"][joint] == pytest.approx(stiff, rel=0.051), slot
     groups = tomllib.loads(made.path.read_text())["actuators"]
     assert {joint for group in groups.values() for joint in group["joints"]} >= {"*_KNEE", "*_ANKLE_ROLL"}
@@ -97,7 +117,7 @@ def test_limits_that_no_motor_has_follow_from_the_body(drafts, tmp_path, robot, 
     made = new_robot(write(tmp_path / "robot.urdf", text), tmp_path / "robot.toml")
     drafted = info_of(made.path)
     for slot, joint in zip(drafted["slots"], drafted["joint_of_slot"], strict=True):
-        if two_legs.part_of(slot) != "ARM":
+        if part_of(slot) != "ARM":
             ratio = drafted["stiffness"][joint] / known["stiffness"][joint]
             # an ankle of Berkeley Humanoid is four times as weak as the other one
             assert 1 / 2.1 <= ratio <= (2.5 if robot != "berkeley_humanoid" else 3.0), (slot, ratio)
@@ -117,7 +137,7 @@ def test_no_joint_of_a_draft_is_at_its_limit_and_arms_hang(drafts, robot):
     slots = dict(zip(drafted["slots"], drafted["joint_of_slot"], strict=True))
     for side in ("L", "R"):
         shoulder = places[slots[f"{side}_SHOULDER_PITCH"]]
-        arm = [joint for slot, joint in slots.items() if slot.startswith(side) and two_legs.part_of(slot) == "ARM"]
+        arm = [joint for slot, joint in slots.items() if slot.startswith(side) and part_of(slot) == "ARM"]
         below = shoulder - places[max(arm, key=lambda joint: np.linalg.norm(places[joint] - shoulder))]
         # forearms of G1 point forward at zero
         assert below[2] > 0.6 * np.linalg.norm(below), (side, below)
@@ -134,20 +154,12 @@ def test_an_effort_limit_that_an_exporter_wrote_into_every_joint_is_no_motors(tm
     drafted = info_of(made.path)
     for slot, joint in zip(drafted["slots"], drafted["joint_of_slot"], strict=True):
         for key in ("effort_limit", "stiffness"):
-            assert 0.4 < drafted[key][joint] / known[key][joint] < 2.5 or two_legs.part_of(slot) == "ARM", (slot, key)
+            assert 0.4 < drafted[key][joint] / known[key][joint] < 2.5 or part_of(slot) == "ARM", (slot, key)
     assert "assumed: the URDF's is no motor's" in made.path.read_text()
     told = [note for note in made.notes if "the URDF's effort limit of 1 N m is no motor's, for " in note]
     assert {name for name in drafted["joint_names"] if any(name in note for note in told)} == set(
         drafted["joint_names"]
     )
-
-
-def test_ankles_of_light_robots_are_assumed_to_be_as_strong_as_their_legs():
-    """ToddlerBot, 3.4 kg, sags by 0.7 rad on ankles of a sixth of its load, and learns no step."""
-    assert two_legs.assumed_effort("L_ANKLE_PITCH", 3.4) == two_legs.assumed_effort("L_KNEE", 3.4)
-    assert two_legs.assumed_effort("L_ANKLE_PITCH", 50.0) == pytest.approx(0.16)
-    assert two_legs.assumed_effort("L_KNEE", 50.0) == 0.38
-    assert two_legs.assumed_effort("L_ANKLE_ROLL", 50.0 / 8) == pytest.approx(0.32)
 
 
 def write(file, text):
