@@ -21,7 +21,7 @@ thread_local! {
 ///
 /// # Panics
 /// A system has panicked, with its message.
-pub(crate) fn note(mut error: BevyError, context: ErrorContext) {
+fn note(mut error: BevyError, context: ErrorContext) {
     // Bevy catches panics of systems and hands them on as errors
     if let Some(payload) = error.take_payload() {
         resume_unwind(payload);

@@ -74,7 +74,7 @@ pub use command::CommandPlugin;
 pub use commanded::{CommandKind, CommandSpec, CommandTerm, CommandView, CommandedRobot};
 pub use curriculum::place_envs;
 pub use disturb::DisturbPlugin;
-pub(crate) use faults::{note, outcome, run};
+pub(crate) use faults::{outcome, run};
 pub use finite::{FinitePlugin, NonFinite, NonFiniteNumber};
 pub use gather::StateField;
 pub(crate) use gather::gather_state;

@@ -51,7 +51,7 @@ pub struct Dump {
     pub robot_config: String,
     /// Text of the robot's URDF.
     pub urdf: String,
-    /// Where the URDF came from.
+    /// Origin of the URDF.
     pub urdf_path: String,
     /// The files of its actuator networks, by group.
     pub networks: BTreeMap<String, NetworkFile>,

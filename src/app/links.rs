@@ -1,4 +1,4 @@
-//! Where the links of robots are and how they move, asked for between control steps.
+//! Poses and velocities of robots' links, asked for between control steps.
 
 use bevy_ecs::prelude::*;
 use glam::DMat3;
@@ -15,7 +15,7 @@ use crate::simulation::named_link;
 use crate::workers::{MatrixRows, Workers};
 use crate::world::Ground;
 
-/// Where links of a robot are and how they move, a row per env.
+/// Poses and velocities of a robot's links, a row per env.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LinkRows {
     /// Origins of the URDF frames relative to the env's origin on the ground, m, `[envs, links,
@@ -131,7 +131,7 @@ struct LinksOfChunk<'a> {
     ground: &'a Ground,
     wanted: &'a Wanted,
     robots: &'a [Columns<'a>],
-    /// Where each env is, and whether its state is broken.
+    /// Origin of each env, and whether its state is broken.
     origins: &'a [(EnvOrigin, bool)],
     /// Positions, quaternions, linear and angular velocities, forces.
     out: (MatrixRows<'a, f32>, MatrixRows<'a, f32>, MatrixRows<'a, f32>, MatrixRows<'a, f32>, MatrixRows<'a, f32>),

@@ -12,10 +12,11 @@ pub mod snapshot;
 mod stepping;
 mod viewing;
 
+use std::mem::{swap, take};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
-use bevy_app::App;
-use bevy_ecs::error::FallbackErrorHandler;
+use bevy_app::{App, PluginsState, SubApps};
 use bevy_ecs::prelude::*;
 
 use crate::batch::Batch;
@@ -26,7 +27,7 @@ use crate::engine::Engines;
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::SimOptions;
-use crate::systems::{BrokenStates, CompiledTask, InstructionSet, Loaded, PolypodPlugins, Registry, Share, note};
+use crate::systems::{BrokenStates, CompiledTask, InstructionSet, Loaded, PolypodPlugins, Registry, Share};
 use crate::workers::Workers;
 
 use residence::Residence;
@@ -39,9 +40,14 @@ pub use sim_queries::RobotStates;
 
 /// A headless Bevy app of many envs, ready to step.
 ///
-/// Its world holds the options, the schedules and whatever plugins have added.
+/// Its world holds the options, the schedules and whatever plugins have added. The plugins, the
+/// sub-apps and the schedules of the app stay: see [`with_app`](Self::with_app).
 pub struct Sim {
+    /// World of the main app.
     world: World,
+    /// The app, without the world above and without its runner. Threads share a simulation: a
+    /// runner cannot be sent to another thread, and an extraction cannot be shared.
+    app: Mutex<SubApps>,
     seed: u64,
     dump_dir: Option<PathBuf>,
     /// Whether the terms that the caller computes are still those of the step before.
@@ -75,24 +81,39 @@ impl Sim {
     }
 
     /// Makes a simulation of an app that has [`PolypodPlugins`], maybe some of them replaced, and
-    /// [`SimOptions`] as a resource. The app's world becomes the simulation's; an app that goes on
-    /// by itself takes [`PolypodPlugins::in_schedule`].
+    /// [`SimOptions`] as a resource. The simulation owns the app from here on. Its runner is not
+    /// called: the caller of [`step`](Self::step) takes its place. An app that goes on by itself
+    /// takes [`PolypodPlugins::in_schedule`].
     ///
     /// Systems that are added to the [`PipelineSet`](crate::systems::PipelineSet)s of
     /// [`ControlStep`](crate::systems::ControlStep) run in each step.
     ///
     /// # Errors
-    /// Any fault of the options, the configs, the URDFs or the plugins.
+    /// Any fault of the options, the configs, the URDFs or the plugins; a plugin that is not ready.
     pub fn from_app(mut app: App) -> Result<Self, Error> {
         let options = SimOptions::of(app.world())?;
-        app.finish();
-        app.cleanup();
-        // threads share a simulation, which they cannot do with an app
-        let mut world = std::mem::take(app.world_mut());
-        world.insert_resource(FallbackErrorHandler(note));
+        match app.plugins_state() {
+            PluginsState::Adding => {
+                let remedy = "wait until App::plugins_state() is Ready";
+                return Err(Error::argument("plugins", "a plugin of the app is not ready", remedy));
+            }
+            PluginsState::Ready => {
+                app.finish();
+                app.cleanup();
+            }
+            PluginsState::Finished => app.cleanup(),
+            PluginsState::Cleaned => (),
+        }
+        let mut world = take(app.world_mut());
         set_up(&mut world, options.seed)?;
-        let mut sim =
-            Self { world, seed: options.seed, dump_dir: None, lacks_external: false, residence: Residence::default() };
+        let mut sim = Self {
+            world,
+            app: Mutex::new(take(app.sub_apps_mut())),
+            seed: options.seed,
+            dump_dir: None,
+            lacks_external: false,
+            residence: Residence::default(),
+        };
         sim.lacks_external = !sim.task().external_terms().is_empty();
         sim.set_dump_dir(options.dump_dir)?;
         Ok(sim)
@@ -231,6 +252,22 @@ impl Sim {
         &mut self.world
     }
 
+    /// Reads or changes the app: its plugins, its sub-apps and its worlds.
+    ///
+    /// A step runs [`ControlStep`](crate::systems::ControlStep) and nothing else of the app.
+    /// `sim.with_app(SubApps::update)` does what [`App::update`] does: it runs the app's own
+    /// schedules, then extraction and schedules of each sub-app. Errors of these systems reach the
+    /// app's own handler. Avian has systems in them, which read the clock of
+    /// [`TimePlugin`](bevy_time::TimePlugin).
+    pub fn with_app<T>(&mut self, f: impl FnOnce(&mut SubApps) -> T) -> T {
+        self.return_to_host();
+        let app = self.app.get_mut().unwrap_or_else(PoisonError::into_inner);
+        swap(app.main.world_mut(), &mut self.world);
+        let done = f(app);
+        swap(app.main.world_mut(), &mut self.world);
+        done
+    }
+
     /// Number of envs that are simulated here.
     pub fn num_envs(&self) -> usize {
         self.world.resource::<BlockSizes>().num_envs()
@@ -245,13 +282,6 @@ impl Sim {
     pub fn env_ids(&self, index: usize) -> std::ops::Range<usize> {
         let blocks = self.world.resource::<BlockSizes>();
         blocks.iter().nth(index).map_or(blocks.num_envs()..blocks.num_envs(), |(_, envs)| envs)
-    }
-
-    /// Place of a row in its robot's rows.
-    pub fn index_in_block(&self, env: usize) -> usize {
-        let blocks = self.world.resource::<BlockSizes>();
-        let own = blocks.iter().find(|(_, envs)| envs.contains(&env));
-        env - own.map_or(blocks.num_envs(), |(_, envs)| envs.start)
     }
 
     /// Threads at work.
@@ -269,7 +299,7 @@ impl Sim {
         self.world.resource::<InstructionSet>().0
     }
 
-    /// Where broken states are dumped, if they are.
+    /// Folder for dumps of broken states, if they are dumped.
     pub fn dump_dir(&self) -> Option<&Path> {
         self.dump_dir.as_deref()
     }

@@ -1,4 +1,4 @@
-//! Where the state of the envs is between control steps: in the components, or on a device.
+//! Residence of the state of the envs between control steps: the components, or a device.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -24,20 +24,20 @@ const QUIET: u32 = 2;
 /// Control steps that are timed where nobody knows what is faster: of the CPU, then of the device.
 /// As many before them are not.
 const TIMED: usize = 10;
-/// How much faster than the CPU the device must be.
+/// Least ratio of the CPU's time to the device's for which the device is used.
 const LEAST_GAIN: f64 = 1.05;
 
-/// Where control steps are made.
+/// Maker of the control steps.
 #[derive(Default, PartialEq)]
 enum Place {
-    /// Nobody has asked the engine.
+    /// Not chosen: nobody has asked the engine.
     #[default]
     Open,
     /// Steps of both are being timed.
     Trial { of_cpu: Vec<Duration>, of_device: Vec<Duration> },
-    /// On the device, where it can.
+    /// The device, where it can.
     Device,
-    /// As the engine shares the robots.
+    /// CPU and device, as the engine shares the robots.
     Shared,
 }
 
@@ -361,7 +361,7 @@ impl Sim {
         self.with_logs(|logs, task, morphologies| logs.stats(task, morphologies, clear))
     }
 
-    /// As [`fetch_batch`](Self::fetch_batch); a failure is the error of the next step.
+    /// Fetches the batch; a failure is the error of the next step.
     fn fetch_quietly(&mut self) {
         if let Err(error) = self.fetch() {
             tracing::warn!("{error}");

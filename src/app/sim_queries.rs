@@ -268,7 +268,7 @@ impl Sim {
         states
     }
 
-    /// Where the links of the robot at place `index` are, relative to the env's origin.
+    /// Poses of the links of the robot at place `index`, relative to the env's origin.
     pub fn link_pose(&mut self, index: usize) -> LinkPoses {
         let states = self.robot_states(index);
         let envs = self.env_ids(index).len();

@@ -37,7 +37,7 @@ pub struct Model {
 pub struct LockedJoint {
     /// Name in the URDF.
     pub name: String,
-    /// Where it is held.
+    /// Position at which it is held.
     pub position: f64,
     /// Lower position limit; negative infinity when there is none.
     pub lower: f64,
@@ -60,7 +60,7 @@ pub struct Link {
     pub merged: Vec<String>,
 }
 
-/// How a joint moves.
+/// Motion of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointKind {
     /// Turns between limits.
@@ -125,7 +125,7 @@ pub struct Body {
     pub name: String,
     /// Index in [`Model::links`] of the link that carries it.
     pub link: usize,
-    /// At least one.
+    /// Shapes of the body, at least one.
     pub shapes: Vec<Shape>,
     /// Surface where it touches the ground; a URDF says nothing of it.
     pub surface: BodySurface,
@@ -230,19 +230,6 @@ impl Model {
     /// Index of the link that `link` hangs on; `None` for the base.
     pub fn parent(&self, link: usize) -> Option<usize> {
         Some(self.joints.get(link.checked_sub(1)?)?.parent)
-    }
-
-    /// All links depth first, children in joint order; a permutation of `0..links.len()`.
-    pub fn depth_first(&self) -> Vec<usize> {
-        let mut order = Vec::with_capacity(self.links.len());
-        let mut stack = vec![0];
-        while let Some(link) = stack.pop() {
-            order.push(link);
-            let first_child = stack.len();
-            stack.extend(self.children(link));
-            stack[first_child..].reverse();
-        }
-        order
     }
 
     /// The frame of every link in the base frame at joint positions `q` (one per joint, rad or m;

@@ -1,8 +1,12 @@
 //! A user's systems run in the pipeline, in place of polypod's or in addition to them; their
 //! failures are errors.
 
-use bevy_app::{App, Plugin, PluginGroup};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use bevy_app::{App, AppLabel, Plugin, PluginGroup, SubApp, SubApps, Update};
 use bevy_ecs::prelude::*;
+use bevy_time::TimePlugin;
 use polypod::batch::Batch;
 use polypod::blocks::Blocks;
 use polypod::components::{BasePose, EnvId, Robot};
@@ -60,6 +64,108 @@ fn rewards_are_anothers() {
     let mut sim = Sim::from_app(app).unwrap();
     sim.step(&zeros(&sim)).unwrap();
     assert!(sim.batch().rewards.iter().all(|reward| (0.3..0.8).contains(reward)), "{:?}", sim.batch().rewards);
+}
+
+#[derive(AppLabel, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct Recorder;
+
+/// Rewards that a sub-app has copied.
+#[derive(Resource, Default)]
+struct Copied(Vec<f32>);
+
+/// Frames of the app so far.
+#[derive(Resource, Default)]
+struct Frames(u32);
+
+/// A plugin with a sub-app, a system in the app's own schedule, and something that lives as long as
+/// it does.
+struct RecorderPlugin {
+    _alive: Arc<()>,
+}
+
+impl Plugin for RecorderPlugin {
+    fn build(&self, app: &mut App) {
+        app.init_resource::<Frames>();
+        app.add_systems(Update, |mut frames: ResMut<Frames>| frames.0 += 1);
+        let mut recorder = SubApp::new();
+        recorder.init_resource::<Copied>();
+        recorder.set_extract(|from, to| to.resource_mut::<Copied>().0.clone_from(&from.resource::<Batch>().rewards));
+        app.insert_sub_app(Recorder, recorder);
+    }
+}
+
+/// Failures that the app's own handler was told.
+static FAILURES: AtomicU32 = AtomicU32::new(0);
+
+#[test]
+fn an_app_stays_whole() {
+    let alive = Arc::new(());
+    let mut app = App::new();
+    app.set_error_handler(|_, _| {
+        FAILURES.fetch_add(1, Ordering::Relaxed);
+    });
+    app.add_systems(Update, || -> Result { Err("the recorder is full".into()) });
+    let recorder = RecorderPlugin { _alive: alive.clone() };
+    app.insert_resource(busy(&["spot"], 4)).add_plugins((TimePlugin, PolypodPlugins, recorder));
+    let mut sim = Sim::from_app(app).unwrap();
+    assert_eq!(Arc::strong_count(&alive), 2);
+    // a simulation may go on in another thread
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            sim.step(&zeros(&sim)).unwrap();
+            sim.with_app(SubApps::update);
+            sim.step(&zeros(&sim)).unwrap();
+        });
+    });
+    assert_eq!(sim.world().resource::<Frames>().0, 1);
+    sim.with_app(SubApps::update);
+    let rewards = sim.batch().rewards.clone();
+    sim.with_app(|app| {
+        assert!(app.main.is_plugin_added::<RecorderPlugin>());
+        assert_eq!(app.main.world().resource::<Frames>().0, 2);
+        let (_, recorder) = app.sub_apps.iter().next().unwrap();
+        assert_eq!(recorder.world().resource::<Copied>().0, rewards);
+    });
+    assert_eq!(FAILURES.load(Ordering::Relaxed), 2);
+    drop(sim);
+    assert_eq!(Arc::strong_count(&alive), 1);
+}
+
+/// Counts how often its app is finished; it is not ready before the world says so.
+struct LatePlugin(Arc<AtomicU32>);
+
+#[derive(Resource)]
+struct IsReady;
+
+impl Plugin for LatePlugin {
+    fn build(&self, _: &mut App) {}
+
+    fn ready(&self, app: &App) -> bool {
+        app.world().contains_resource::<IsReady>()
+    }
+
+    fn finish(&self, _: &mut App) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn plugins_are_finished_once_and_when_they_are_ready() {
+    let finished = Arc::new(AtomicU32::new(0));
+    let with_plugin = || {
+        let mut app = app(busy(&["spot"], 4));
+        app.add_plugins(LatePlugin(finished.clone()));
+        app
+    };
+    let error = Sim::from_app(with_plugin()).map(|_| ()).unwrap_err().to_string();
+    assert!(error.starts_with("plugins: a plugin of the app is not ready"), "{error}");
+    assert_eq!(finished.load(Ordering::Relaxed), 0);
+    let mut late = with_plugin();
+    late.insert_resource(IsReady);
+    late.finish();
+    late.cleanup();
+    Sim::from_app(late).unwrap();
+    assert_eq!(finished.load(Ordering::Relaxed), 1);
 }
 
 /// Steps so far, of each robot.
