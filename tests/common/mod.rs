@@ -4,9 +4,13 @@ pub mod facts;
 
 use std::ops::Range;
 
+use bevy_ecs::prelude::World;
 use polypod::components::{
     BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, Episode, EpisodeSums, Feet,
     JointEffort, JointState,
+};
+use polypod::dynamics::{
+    ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
 };
 use polypod::{Sim, SimOptions};
 
@@ -24,6 +28,14 @@ pub fn size<T>(core: T, extended: T) -> T {
 pub const ROBOTS: [&str; 8] =
     ["anymal_d", "anymal_c", "anymal_b", "unitree_a1", "unitree_go1", "unitree_go2", "unitree_b2", "spot"];
 
+/// Velocity command and contact sensor of each env's robot, by env.
+pub fn commands_and_sensors(world: &mut World) -> (Vec<[f64; 3]>, Vec<ContactSensor>) {
+    let mut query = world.query::<(&EnvId, &Command)>();
+    let commands = query.iter(world).sort::<&EnvId>().map(|(_, command)| command.velocity.map(f64::from)).collect();
+    let mut query = world.query::<(&EnvId, &ContactSensor)>();
+    (commands, query.iter(world).sort::<&EnvId>().map(|(_, sensor)| sensor.clone()).collect())
+}
+
 /// The flat task, with short episodes and frequent pushes and commands so that a short run meets
 /// all of them, on one thread.
 pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
@@ -40,6 +52,28 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
         .to_vec(),
         ..SimOptions::new("velocity_flat", num_envs)
     }
+}
+
+/// Control step of a robot in free fall whose joints turn with this velocity, rad/s or m/s.
+pub fn fall(topology: &Topology, parameters: &Parameters<f32>, joint_velocity: f32, decimation: usize) -> State<f32> {
+    let settings =
+        StepSettings { dt: 0.005, decimation, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
+    let mut state = State::zeros(topology);
+    state.joint_velocity.fill(joint_velocity);
+    ControlStep {
+        topology,
+        settings: &settings,
+        terrain: None,
+        parameters,
+        nominal: None,
+        drive: &Drive::zeros(topology, 1),
+        substeps: 0..decimation,
+        state: &mut state,
+        report: &mut Report::zeros(topology, decimation),
+        work: &mut Workspace::new(topology),
+    }
+    .run();
+    state
 }
 
 /// The same task on ground that resists turning and rolling, with another coefficient in each env.

@@ -6,16 +6,14 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, MAX_DEPTH, Parameters, Report, State, StepSettings, Workspace,
-};
+use polypod::dynamics::{MAX_DEPTH, Parameters};
 use polypod::robot::{Articulation, Geometry, LoadOptions, Model, RobotError, Site, check, detect, load, load_str};
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::common::size;
+use crate::common::{fall, size};
 
 /// Values that a number, a name or a type is replaced by.
 const VALUES: [&str; 34] = [
@@ -166,23 +164,7 @@ fn step(articulation: &Articulation) -> Result<(), TestCaseError> {
     let mut all_finite = true;
     probe.zip_with(&present, |_, number| all_finite &= number.is_finite());
     prop_assert!(all_finite, "{parameters:?}");
-    let settings =
-        StepSettings { dt: 0.005, decimation: 1, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
-    let mut state = State::zeros(topology);
-    state.joint_velocity.fill(1.0);
-    ControlStep {
-        topology,
-        settings: &settings,
-        terrain: None,
-        parameters: &parameters,
-        nominal: None,
-        drive: &Drive::zeros(topology, 1),
-        substeps: 0..settings.decimation,
-        state: &mut state,
-        report: &mut Report::zeros(topology, 1),
-        work: &mut Workspace::new(topology),
-    }
-    .run();
+    fall(topology, &parameters, 1.0, 1);
     Ok(())
 }
 

@@ -4,14 +4,14 @@
 use bevy_ecs::prelude::*;
 use polypod::Autoreset;
 use polypod::components::{
-    Action, BasePose, BaseVelocity, Body, Command, ContactForces, ContactSensor, EnvId, EpisodeSums, Feet, JointEffort,
+    Action, BasePose, BaseVelocity, Body, ContactForces, ContactSensor, EnvId, EpisodeSums, Feet, JointEffort,
     JointState,
 };
 use polypod::morphology::MorphologyModel;
 use polypod::robot::BodyGroup;
 use polypod::{Sim, SimOptions};
 
-use crate::common::noise;
+use crate::common::{commands_and_sensors, noise};
 
 const STEPS: usize = 300;
 const ENVS_PER_ROBOT: usize = 6;
@@ -263,18 +263,7 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
 
 /// Gathers what the formulas need from the robots' components, by env.
 fn see(world: &mut World, robots: &[MorphologyModel], timers: &mut [Timers], when: &str) -> Vec<Seen> {
-    let commands: Vec<[f64; 3]> = world
-        .query::<(&EnvId, &Command)>()
-        .iter(world)
-        .sort::<&EnvId>()
-        .map(|(_, c)| c.velocity.map(f64::from))
-        .collect();
-    let sensors: Vec<ContactSensor> = world
-        .query::<(&EnvId, &ContactSensor)>()
-        .iter(world)
-        .sort::<&EnvId>()
-        .map(|(_, sensor)| sensor.clone())
-        .collect();
+    let (commands, sensors) = commands_and_sensors(world);
     let mut query = world.query::<(
         &EnvId,
         (&BasePose, &BaseVelocity, &Body, &JointState),

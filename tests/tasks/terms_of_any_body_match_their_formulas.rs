@@ -6,13 +6,11 @@ use std::path::Path;
 
 use bevy_ecs::prelude::*;
 use polypod::Autoreset;
-use polypod::components::{
-    Action, BasePose, Body, Command, ContactSensor, EnvId, Episode, EpisodeSums, Feet, JointEffort, JointState,
-};
+use polypod::components::{Action, BasePose, Body, EnvId, Episode, EpisodeSums, Feet, JointEffort, JointState};
 use polypod::morphology::MorphologyModel;
 use polypod::{Sim, SimOptions};
 
-use crate::common::noise;
+use crate::common::{commands_and_sensors, noise};
 
 const ROBOTS: [&str; 4] = ["small_biped", "small_humanoid", "small_hexapod", "unitree_go2"];
 const EACH: usize = 8;
@@ -194,18 +192,7 @@ impl Seen<'_> {
 }
 
 fn see<'a>(world: &mut World, robots: &'a [MorphologyModel]) -> Vec<Seen<'a>> {
-    let commands: Vec<[f64; 3]> = world
-        .query::<(&EnvId, &Command)>()
-        .iter(world)
-        .sort::<&EnvId>()
-        .map(|(_, c)| c.velocity.map(f64::from))
-        .collect();
-    let sensors: Vec<ContactSensor> = world
-        .query::<(&EnvId, &ContactSensor)>()
-        .iter(world)
-        .sort::<&EnvId>()
-        .map(|(_, sensor)| sensor.clone())
-        .collect();
+    let (commands, sensors) = commands_and_sensors(world);
     let ended: Vec<bool> =
         world.query::<(&EnvId, &Episode)>().iter(world).sort::<&EnvId>().map(|(_, e)| e.terminated).collect();
     let mut query = world.query::<(&EnvId, &BasePose, &Body, &JointState, &JointEffort, &Action, &Feet)>();
