@@ -29,7 +29,7 @@ pub struct SimOptions {
     pub threads: Option<usize>,
     /// `key=value` changes to the task.
     pub overrides: Vec<String>,
-    /// How ended episodes are reset.
+    /// Party that resets ended episodes.
     pub autoreset: Autoreset,
     /// Directories laid out like the project, in which configs and assets are looked up first.
     pub roots: Vec<PathBuf>,
@@ -75,7 +75,7 @@ pub enum Autoreset {
     SameStep,
     /// The next control step, which only resets this env.
     NextStep,
-    /// Only the caller.
+    /// The caller alone.
     Disabled,
 }
 

@@ -51,7 +51,7 @@ pub struct RobotView<'a> {
     pub stance: &'a Stance,
     /// Ground that the robots stand on, and gravity.
     pub ground: &'a Ground,
-    /// Where the env is on the ground.
+    /// Place of the env on the ground.
     pub origin: &'a EnvOrigin,
     /// Whether the episode ends as failed in this step. Rewards alone know: for other terms it is
     /// false.
@@ -129,7 +129,7 @@ pub struct NewState<'a> {
     pub velocity: &'a mut BaseVelocity,
     /// Joints; start at rest in the default pose.
     pub joints: &'a mut JointState,
-    /// How late each joint's targets come; starts as the actuators' own delays.
+    /// Delay of each joint's targets; starts as the actuators' own delays.
     pub delay: &'a mut ActuatorDelay,
     /// Force and torque from outside; start at zero.
     pub wrench: &'a mut ExternalWrench,

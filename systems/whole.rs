@@ -34,7 +34,7 @@ use crate::world::Ground;
 /// Control steps that the device has made alone, and what the host knows of them.
 #[derive(Resource, Default)]
 pub(crate) struct OnDevice {
-    /// Since the components were up to date.
+    /// Number of steps since the components were up to date.
     steps: u64,
     /// Steps among these whose ended episodes the host has counted; the others flow.
     told: u64,

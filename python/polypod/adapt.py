@@ -1,4 +1,4 @@
-"""From a policy that does not walk with a robot to one that does: `polypod adapt`.
+"""`polypod adapt`: trains a policy until it walks with a robot.
 
 A short training that begins with the policy, of the robot alone or with robots that are described
 most like it, and ends when the robot walks. Where the policy falls at once, a robot on two legs, or
@@ -109,7 +109,7 @@ class Result:
     name: str
     """Name of the robot."""
     robot: str
-    """How to find the robot again: its name, or the path of its config."""
+    """Name of the robot, or the path of its config."""
     checkpoint: Path
     """The best one: the policy that it began with where no training was needed or none got
     better."""
@@ -132,7 +132,7 @@ class Start:
 
     name: str
     robot: str
-    """How to find the robot again, as in `Result`."""
+    """Name of the robot, or the path of its config, as in `Result`."""
     nearest: list[str]
     """The robot of the library whose description is most like it, where there is one."""
     neighbours: list[str]
@@ -316,7 +316,7 @@ def _changes(
 ) -> list[str]:
     """`key=value` pairs of the task: the policy's, and a reward set for a robot new to the task.
 
-    The set is `own_set`, or that of the robot which is described most like it.
+    The set is `own_set`, or that of the robot with the nearest description.
     """
     trained = descriptions.without_shares(manifest["overrides"])
     of_robot = []
@@ -422,7 +422,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _verdict(figures: Mapping[str, Walking], wanted: Sequence[str]) -> str:
-    """How many robots walk, and why the others do not."""
+    """Says how many robots walk, and why the others do not."""
     reasons = {name: "; ".join(why_not(walking)) for name, walking in figures.items()}
     walking = f"{sum(not reason for reason in reasons.values())} of {len(reasons)} walk"
     return "; ".join([walking, *(f"{name}: {reasons[name]}" for name in wanted if reasons[name])])

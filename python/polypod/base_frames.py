@@ -165,7 +165,7 @@ class _Axes:
         return cls(frames, shares, lateral, np.array(limbs).reshape(-1, 3), np.array(lengths))
 
     def down(self) -> tuple[float, int, float]:
-        """How far the limbs reach downwards, m, and the axis that is up with its sign."""
+        """Distance that the limbs reach downwards, m, and the axis that is up with its sign."""
         across = [axis for axis in range(3) if axis != self.lateral]
         return max((float((-way * self.limbs[:, axis]).max()), axis, way) for axis in across for way in (1.0, -1.0))
 

@@ -1,4 +1,4 @@
-"""How far a body's description is from those that a policy was trained on.
+"""Distances of a body's description from those that a policy was trained on.
 
 A body is described by the numbers of the observation term `joint_descriptors`: `DESCRIPTORS` of
 each joint, in the nominal body. A network of joints reads each number x in three ways, and so does
@@ -52,7 +52,7 @@ class Body:
     joints: tuple[str, ...]
     """Slots of the joints."""
     numbers: npt.NDArray[np.float32]
-    """[joints, descriptors], descriptions of the joints."""
+    """Descriptions of the joints, [joints, descriptors]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,7 +157,7 @@ class Training:
         return sorted(found, key=lambda name: found[name])
 
     def _features_of(self, body: Body) -> Array:
-        """[joints, 3 x descriptors]: numbers, logarithms, and differences within the body."""
+        """Numbers of joints, their logarithms and differences, [joints, 3 x descriptors]."""
         numbers = body.numbers.astype(np.float64)
         both = (np.concatenate([numbers, _logarithms(numbers)], axis=1) - self._mean) / self._deviation
         absolute = both[:, : numbers.shape[1]]
@@ -231,7 +231,7 @@ def training_of(manifest: Mapping[str, Any], where: str = "manifest") -> Trainin
 
 
 def distances(manifest: Mapping[str, Any], robots: Sequence[str], where: str = "manifest") -> dict[str, Distance]:
-    """How far robots that a policy was not trained on are from its training bodies, by name.
+    """Distances of robots that a policy was not trained on from its training bodies, by name.
 
     Args:
         manifest: of the policy.

@@ -30,7 +30,7 @@ MOST_PARTS = 40
 PUSH_EVERY = 1.6
 """Time between two pushes, s."""
 PUSH_SHOWN = 0.4
-"""So long the arrow of a push is seen, s."""
+"""Time for which the arrow of a push is seen, s."""
 _MODEL = re.compile(r"model_(\d+)\.pt")
 
 

@@ -20,10 +20,10 @@ class Block:
     per: str
     """Kind of owner: body, length, width, role or joint; see `VecSim.observation_terms`."""
     count: int
-    """How many for each: of the body, of one role, of one joint."""
+    """Number of values of the body, of one role or of one joint."""
 
     def size(self, roles: int, joints: int) -> int:
-        """How many numbers it has in all."""
+        """Returns the number of all its values."""
         return self.count * {"role": roles, "joint": joints}.get(self.per, 1)
 
 

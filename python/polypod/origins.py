@@ -1,4 +1,4 @@
-"""Where the values of a config come from: `polypod show`."""
+"""Origins of the values of a config: `polypod show`."""
 
 import dataclasses
 import re

@@ -53,7 +53,7 @@ class _WithoutMarks(MetaPathFinder):
 
 @contextlib.contextmanager
 def _unmarked() -> Iterator[None]:
-    """Without marks of functions; those of optimisers stay left out."""
+    """Leaves out marks of functions while the context lasts, and those of optimisers for good."""
     import torch.compiler
     import torch.optim
 

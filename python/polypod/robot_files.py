@@ -1,4 +1,4 @@
-"""Where the files of a robot are, by its name or the path of its config."""
+"""Paths of the files of a robot, by its name or the path of its config."""
 
 import os
 from pathlib import Path

@@ -9,7 +9,7 @@ from polypod.arrays import Array
 
 
 def matrix(quaternion: npt.ArrayLike) -> Array:
-    """[..., 3, 3], whose columns are the turned axes, of quaternions [..., 4]."""
+    """Rotation matrices of quaternions [..., 4], [..., 3, 3]; the columns are the turned axes."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -20,13 +20,13 @@ def matrix(quaternion: npt.ArrayLike) -> Array:
 
 
 def heading(quaternion: npt.ArrayLike) -> Array:
-    """[...], angle of the turned x axis on the ground, rad."""
+    """Angle of the turned x axis on the ground, rad, [...]."""
     w, x, y, z = np.moveaxis(np.asarray(quaternion, dtype=np.float64), -1, 0)
     return np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
 
 
 def product(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
-    """[..., 4], turns by `right` and then by `left`."""
+    """Products of quaternions, [..., 4]: turns by `right` and then by `left`."""
     w, x, y, z = np.moveaxis(np.asarray(left, dtype=np.float64), -1, 0)
     a, b, c, d = np.moveaxis(np.asarray(right, dtype=np.float64), -1, 0)
     return np.stack(
@@ -41,7 +41,7 @@ def product(left: npt.ArrayLike, right: npt.ArrayLike) -> Array:
 
 
 def inverse(quaternion: npt.ArrayLike) -> Array:
-    """[..., 4], the reverse turns."""
+    """The reverse turns, [..., 4]."""
     return np.asarray(quaternion, dtype=np.float64) * [1.0, -1.0, -1.0, -1.0]
 
 
@@ -62,7 +62,7 @@ def of_axes(axes: Array) -> Array:
 
 
 def of_angles(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> Array:
-    """[..., 4], rotations about the fixed x, y and z axes, in this order, by angles [...], rad."""
+    """Quaternions of turns about the fixed x, y and z axes, in this order, by angles [...], rad."""
 
     def about(axis: int, turn: npt.ArrayLike) -> Array:
         rotation = np.zeros((*np.shape(turn), 3))
@@ -73,7 +73,7 @@ def of_angles(roll: npt.ArrayLike, pitch: npt.ArrayLike, yaw: npt.ArrayLike) -> 
 
 
 def matrix_of_angles(roll: float, pitch: float, yaw: float) -> Array:
-    """[3, 3], the matrix of `of_angles`: `rpy` of a URDF."""
+    """Rotation matrix of `of_angles`, [3, 3]: `rpy` of a URDF."""
     (cr, cp, cy), (sr, sp, sy) = np.cos([roll, pitch, yaw]), np.sin([roll, pitch, yaw])
     return np.array(
         [
@@ -85,7 +85,7 @@ def matrix_of_angles(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def matrix_about(axis: npt.ArrayLike, angle: float) -> Array:
-    """[3, 3], the rotation by an angle, rad, about a direction [3] of unit length."""
+    """Rotation matrix of an angle, rad, about a direction [3] of unit length, [3, 3]."""
     x, y, z = np.asarray(axis, dtype=np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     turned: Array = np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
@@ -112,13 +112,13 @@ def x_axis_to(direction: Array) -> Array:
 
 
 def unit(quaternion: Array) -> Array:
-    """[..., 4] of length one."""
+    """Quaternions of length one, [..., 4]."""
     scaled: Array = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
     return scaled
 
 
 def continuous(quaternion: Array) -> Array:
-    """[frames, 4], the same turns with signs that do not jump between frames."""
+    """The same turns with signs that do not jump between frames, [frames, 4]."""
     flips = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0.0, -1.0, 1.0)
     signs = np.concatenate([[1.0], np.cumprod(flips)])
     signed: Array = quaternion * signs[:, np.newaxis]
@@ -126,7 +126,7 @@ def continuous(quaternion: Array) -> Array:
 
 
 def rotated(quaternion: Array, vector: Array) -> Array:
-    """[..., 3], the turned vectors."""
+    """The turned vectors, [..., 3]."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
     a, b, c = (vector[..., i] for i in range(3))
     # twice the cross product; np.cross takes three times as long
@@ -138,7 +138,7 @@ def rotated(quaternion: Array, vector: Array) -> Array:
 
 
 def vector(quaternion: Array) -> Array:
-    """[..., 3], axis times angle of the shortest turns, rad."""
+    """Axis times angle of the shortest turns, rad, [..., 3]."""
     q = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, q[..., :1])
@@ -147,31 +147,31 @@ def vector(quaternion: Array) -> Array:
 
 
 def of_vector(turn: Array) -> Array:
-    """[..., 4], the inverse of `vector`."""
+    """Quaternions of rotation vectors, [..., 4], the inverse of `vector`."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     share = np.where(angle > 1e-9, np.sin(0.5 * angle) / np.maximum(angle, 1e-12), 0.5)
     return np.concatenate([np.cos(0.5 * angle), share * turn], axis=-1)
 
 
 def of_yaw(angle: Array) -> Array:
-    """[..., 4], turns to the left."""
+    """Quaternions of turns to the left, [..., 4]."""
     zero = np.zeros_like(angle)
     return np.stack([np.cos(0.5 * angle), zero, zero, np.sin(0.5 * angle)], axis=-1)
 
 
 def yaw(quaternion: Array) -> Array:
-    """[..., 4], the part of turns that is about the world's z axis."""
+    """Parts of turns that are about the world's z axis, [..., 4]."""
     return of_yaw(heading(quaternion))
 
 
 def angle(left: Array, right: Array) -> Array:
-    """[...], angle between two orientations, rad."""
+    """Angle between two orientations, rad, [...]."""
     q = product(left, inverse(right))
     between_them: Array = 2.0 * np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), np.abs(q[..., 0]))
     return between_them
 
 
 def between(left: Array, right: Array, share: Array) -> Array:
-    """[..., 4], turns that go from `left` to `right` by these shares [...] of the shortest way."""
+    """Turns that go from `left` to `right` by these shares [...] of the shortest way, [..., 4]."""
     way = vector(product(right, inverse(left)))
     return unit(product(of_vector(way * share[..., np.newaxis]), left))

@@ -33,7 +33,7 @@ except ModuleNotFoundError as error:
 _COPIERS = 4
 """Threads that copy a large array into pinned memory: one reaches a part of the memory's speed."""
 _LARGE = 1 << 22
-"""Bytes from which on they do it."""
+"""Least size of an array that several threads copy, bytes."""
 
 
 class VecEnv(rsl_rl.env.VecEnv):

@@ -48,11 +48,11 @@ class RobotInfo(_Class, _Networks):
     base_height: float
     """Height of the base above the lowest foot in the default pose, m."""
     hip_height: float
-    """Height of the hips there, m."""
+    """Height of the hips above the base in the default pose, m."""
     feet: list[str]
     legs: list[str]
     mirror: list[tuple[int, float]]
-    """Slot and sign that each slot has in the mirror image."""
+    """Slot that each slot becomes in the mirror image, and the sign of its numbers."""
 
 
 def robots(sim: _core.VecSim) -> dict[str, RobotInfo]:

@@ -34,7 +34,7 @@ class State:
 
     @property
     def base_pos(self) -> FloatArray:
-        """[num_envs, 3], position of the base relative to the env's origin, m.
+        """Position of the base relative to the env's origin, m, [num_envs, 3].
 
         The origin lies on the ground (`VecSim.env_origins`): on terrain at the height of the tile's
         middle.
@@ -43,7 +43,7 @@ class State:
 
     @property
     def base_height(self) -> FloatArray:
-        """[num_envs], height of the base above the ground below it, m.
+        """Height of the base above the ground below it, m, [num_envs].
 
         Where the task has a height scanner: above the mean of the ground below its rays.
         """
@@ -51,77 +51,77 @@ class State:
 
     @property
     def base_quat(self) -> FloatArray:
-        """[num_envs, 4], orientation of the base: w, x, y, z."""
+        """Orientation of the base, [num_envs, 4]: w, x, y, z."""
         return self._sim().state("base_quat")
 
     @property
     def base_lin_vel(self) -> FloatArray:
-        """[num_envs, 3], velocity of the base's centre of mass, base axes, m/s."""
+        """Velocity of the base's centre of mass, base axes, m/s, [num_envs, 3]."""
         return self._sim().state("base_lin_vel")
 
     @property
     def base_ang_vel(self) -> FloatArray:
-        """[num_envs, 3], angular velocity of the base, base axes, rad/s."""
+        """Angular velocity of the base, base axes, rad/s, [num_envs, 3]."""
         return self._sim().state("base_ang_vel")
 
     @property
     def projected_gravity(self) -> FloatArray:
-        """[num_envs, 3], unit vector of gravity, base axes; zeros without gravity."""
+        """Unit vector of gravity, base axes, [num_envs, 3]; zeros without gravity."""
         return self._sim().state("projected_gravity")
 
     @property
     def joint_pos(self) -> FloatArray:
-        """[num_envs, joints], joint positions, rad."""
+        """Joint positions, rad, [num_envs, joints]."""
         return self._sim().state("joint_pos")
 
     @property
     def joint_vel(self) -> FloatArray:
-        """[num_envs, joints], joint velocities, rad/s."""
+        """Joint velocities, rad/s, [num_envs, joints]."""
         return self._sim().state("joint_vel")
 
     @property
     def joint_acc(self) -> FloatArray:
-        """[num_envs, joints], over the last physics step, rad/s^2."""
+        """Joint accelerations over the last physics step, rad/s^2, [num_envs, joints]."""
         return self._sim().state("joint_acc")
 
     @property
     def joint_effort(self) -> FloatArray:
-        """[num_envs, joints], applied by the actuators in the last physics step, N m."""
+        """Efforts that the actuators applied in the last physics step, N m, [num_envs, joints]."""
         return self._sim().state("joint_effort")
 
     @property
     def default_joint_pos(self) -> FloatArray:
-        """[num_envs, joints], the default pose, rad."""
+        """The default pose, rad, [num_envs, joints]."""
         return self._sim().state("default_joint_pos")
 
     @property
     def contact_forces(self) -> FloatArray:
-        """[num_envs, 3 feet], net contact force on each foot in the last step, world axes, N."""
+        """Net contact force on each foot in the last step, world axes, N, [num_envs, 3 feet]."""
         return self._sim().state("contact_forces")
 
     @property
     def feet_pos(self) -> FloatArray:
-        """[num_envs, 3 feet], centre of each foot relative to the env's origin, m."""
+        """Centre of each foot relative to the env's origin, m, [num_envs, 3 feet]."""
         return self._sim().state("feet_pos")
 
     @property
     def feet_height(self) -> FloatArray:
-        """[num_envs, feet], height of each foot's centre above the ground below it, m."""
+        """Height of each foot's centre above the ground below it, m, [num_envs, feet]."""
         return self._sim().state("feet_height")
 
     @property
     def feet_vel(self) -> FloatArray:
-        """[num_envs, 3 feet], velocities of the feet, world axes, m/s."""
+        """Velocities of the feet, world axes, m/s, [num_envs, 3 feet]."""
         return self._sim().state("feet_vel")
 
     @property
     def feet_air_time(self) -> FloatArray:
-        """[num_envs, feet], how long each foot has been in the air, s; 0 in contact."""
+        """Time that each foot has been in the air, s, [num_envs, feet]; 0 in contact."""
         return self._sim().state("feet_air_time")
 
     @property
     def feet_contact_time(self) -> FloatArray:
-        """[num_envs, feet], how long each foot has been in contact, s; 0 in the air."""
+        """Time that each foot has been in contact, s, [num_envs, feet]; 0 in the air."""
         return self._sim().state("feet_contact_time")
 
     @property
@@ -131,17 +131,17 @@ class State:
 
     @property
     def command(self) -> FloatArray:
-        """[num_envs, 3], commanded velocity, base axes: x, y (m/s), yaw rate (rad/s)."""
+        """Commanded velocity, base axes, [num_envs, 3]: x, y (m/s), yaw rate (rad/s)."""
         return self._sim().state("command")
 
     @property
     def last_action(self) -> FloatArray:
-        """[num_envs, joints], as the policy gave it."""
+        """Action as the policy gave it, [num_envs, joints]."""
         return self._sim().state("last_action")
 
     @property
     def previous_action(self) -> FloatArray:
-        """[num_envs, joints], the action before the last one."""
+        """The action before the last one, [num_envs, joints]."""
         return self._sim().state("previous_action")
 
     @property

@@ -27,7 +27,7 @@ class Rows:
     """A column of names and columns of figures."""
 
     def __init__(self, name: str, *figures: str) -> None:
-        """With these headers."""
+        """Table with these headers."""
         self._lines = [(name, *figures)]
 
     def add_row(self, name: str, *figures: str) -> None:

@@ -215,10 +215,7 @@ class CustomTerms(_VectorWrapper):
         return self.observation, self.reward, self.terminated, self.truncated, infos
 
     def send(self, actions: FloatArray) -> None:
-        """Not for envs with terms in Python, which are computed after the step.
-
-        Raises ConfigError.
-        """
+        """Raises ConfigError: terms in Python are computed after the step."""
         raise ConfigError("terms in Python are computed between steps: call step in the place of send and recv")
 
     def recv(self) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:

@@ -20,9 +20,9 @@ small."""
 SMALLEST = 0.01
 """Diameter of the smallest ball, over the size of the robot."""
 NONE = 1e-12
-"""Moments up to this are 0 with the errors of a converter, kg m^2."""
+"""Largest moment that counts as 0 with the errors of a converter, kg m^2."""
 SAME = 1e-9
-"""Share by which moments differ that are all the same."""
+"""Largest relative difference of moments that count as the same."""
 WIDTH = 0.3
 """Width of a bar, over its length."""
 SHORTEST = 0.02

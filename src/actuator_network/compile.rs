@@ -480,7 +480,7 @@ impl Compiler {
         // two names of the same numbers
         self.shared.insert(to.first);
         let states = failed("gives a cell state, which is no torque", "let the torque follow from the layer's output");
-        // all steps of the sequence, of which there is one, then the last step
+        // the sequence has one step: the output of all steps, then that of the last
         Ok(vec![Value::Features(to, 4), Value::Features(to, 3), Value::Unknown(states)])
     }
 }

@@ -52,7 +52,7 @@ impl DocumentKind {
 }
 
 impl Document {
-    /// Its text, or the reason why it cannot be read.
+    /// Text of the file, or the reason why it cannot be read.
     pub(super) fn text(&self) -> Result<&str, ConfigError> {
         self.text.as_deref().map_err(Clone::clone)
     }

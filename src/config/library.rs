@@ -91,7 +91,7 @@ pub struct LoadedTask {
 /// A config and where it comes from.
 #[derive(Clone, Debug)]
 pub struct Explained {
-    /// Its files with what each of them says, the one that extends no other first.
+    /// Files of the config with the table of each, the one that extends no other first.
     pub layers: Vec<(String, Table)>,
     /// All layers, overrides and defaults in one table.
     pub resolved: Table,
@@ -104,7 +104,7 @@ pub struct TrainFile {
     pub text: String,
     /// Identity of the file, however its path is written.
     pub id: PathBuf,
-    /// Its folder, where relative paths begin; None for a built-in file.
+    /// Folder of the file, where relative paths begin; None for a built-in file.
     pub folder: Option<PathBuf>,
 }
 

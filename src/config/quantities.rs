@@ -9,7 +9,7 @@ pub trait Quantity {
     const LEAST: f64;
     /// The greatest number.
     const MOST: f64;
-    /// Its unit, after a space; empty for plain numbers.
+    /// Unit of the quantity, after a space; empty for plain numbers.
     const UNIT: &'static str;
 }
 
@@ -57,9 +57,9 @@ quantities! {
     Slope: 0.0 => 1000.0, "";
     /// Rise over run that is not zero.
     SteepSlope: 1e-3 => 1e6, "";
-    /// How hard terrain is.
+    /// Difficulty of terrain.
     Difficulty: -10.0 => 10.0, "";
-    /// A proportion among others.
+    /// Proportion among others.
     Proportion: 1e-6 => 1e6, "";
     /// A number of cycles per second.
     Frequency: 0.0 => 100.0, " Hz";

@@ -89,13 +89,13 @@ impl Default for RandomizationConfig {
 #[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BaseComOffset {
-    /// Forward.
+    /// Shift forward.
     #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub x: [f64; 2],
-    /// To the left.
+    /// Shift to the left.
     #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub y: [f64; 2],
-    /// Up.
+    /// Shift upwards.
     #[serde(deserialize_with = "values::range_of::<Shift, _, _>")]
     pub z: [f64; 2],
 }
@@ -105,38 +105,38 @@ pub struct BaseComOffset {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Operation {
-    /// Is added to it.
+    /// The number is added to the value.
     Add,
-    /// Multiplies it.
+    /// The number multiplies the value.
     #[default]
     Scale,
-    /// Replaces it.
+    /// The number replaces the value.
     Abs,
-    /// Times the joint's largest effort it is added: one range fits small and large robots. A joint
-    /// whose effort is unlimited keeps its value.
+    /// The number times the joint's largest effort is added: one range fits small and large robots.
+    /// A joint whose effort is unlimited keeps its value.
     AddEffortShare,
 }
 
-/// How a number is drawn; names and meaning are Isaac Lab's.
+/// Distribution of a drawn number; names and meaning are Isaac Lab's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Distribution {
-    /// Uniformly between two numbers.
+    /// The number is uniform between two numbers.
     #[default]
     Uniform,
-    /// Its logarithm uniformly between those of two positive numbers.
+    /// The logarithm is uniform between those of two positive numbers.
     LogUniform,
-    /// Normally, of this mean and standard deviation.
+    /// The number is normal, of this mean and standard deviation.
     Gaussian,
 }
 
-/// How a non-negative value is randomised.
+/// Randomisation of a non-negative value.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, try_from = "UncheckedDraw")]
 pub struct Draw {
     /// Operation of the drawn number on the value; a negative result becomes 0. Default: scale.
     pub operation: Operation,
-    /// How it is drawn. Default: uniform.
+    /// Distribution of the number. Default: uniform.
     pub distribution: Distribution,
     /// Lower and upper end, or mean and standard deviation; in the value's unit, for `scale`
     /// without one, and for `add_effort_share` in the value's unit per N m.

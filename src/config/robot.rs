@@ -82,8 +82,7 @@ pub struct RobotConfig {
     /// Links of the URDF by group of bodies, where geometry alone does not tell.
     #[serde(default, skip_serializing_if = "BodiesConfig::is_empty")]
     pub bodies: BodiesConfig,
-    /// Where the robot carries a depth camera, for tasks that have one. Default: where the task
-    /// says.
+    /// Mount of the robot's depth camera, for tasks that have one. Default: the task's mount.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera: Option<CameraMountConfig>,
     /// ROS package -> folder, for `package://` meshes; relative to the config's folder.
@@ -100,7 +99,7 @@ pub struct RobotConfig {
 pub struct ActuatorConfig {
     /// Patterns on canonical names; `*` stands for any run of letters.
     pub joints: Vec<String>,
-    /// How targets become torques.
+    /// Law by which targets become torques.
     pub model: ActuatorModel,
     /// Torque per position error, N m / rad; networks do not use it, all other models need it.
     #[serde(
@@ -214,7 +213,7 @@ pub struct ActuatorConfig {
     pub torque_scale: Option<f64>,
 }
 
-/// In which order an actuator network takes its inputs; names are Isaac Lab's.
+/// Order of the inputs of an actuator network; names are Isaac Lab's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InputOrder {
@@ -224,7 +223,7 @@ pub enum InputOrder {
     VelPos,
 }
 
-/// How joint targets become torques.
+/// Law by which joint targets become torques.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ActuatorModel {
@@ -266,14 +265,14 @@ const MAX_INPUT_AGE: u32 = 100;
 pub struct BodiesConfig {
     /// The trunk and what is fixed to it.
     pub base: Vec<String>,
-    /// Between the base and other limbs.
+    /// Links between the base and other limbs.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub torso: Vec<String>,
-    /// Between abduction and flexion joint of the hip.
+    /// Links between abduction and flexion joint of the hip.
     pub hip: Vec<String>,
-    /// Between hip and knee.
+    /// Links between hip and knee.
     pub thigh: Vec<String>,
-    /// Below the knee.
+    /// Links below the knee.
     pub shank: Vec<String>,
     /// Bodies that stand on the ground.
     pub foot: Vec<String>,
@@ -361,7 +360,7 @@ impl Default for ResetConfig {
     }
 }
 
-/// How the joint angles of a reset are drawn, each joint for itself.
+/// Draw of the joint angles of a reset, each joint for itself.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct JointPositionReset {

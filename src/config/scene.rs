@@ -11,7 +11,7 @@ use super::terrain::TerrainConfig;
 use super::values;
 use crate::robot::{Surface, read_surface};
 
-/// More triangles than this are no obstacle but a scan.
+/// Largest number of triangles of an obstacle: more are a scan.
 const MOST_TRIANGLES: usize = 250_000;
 /// Each step of stairs is a collider.
 const MOST_STEPS: u32 = 10_000;
@@ -33,7 +33,7 @@ pub struct SceneConfig {
     pub terrain: Option<TerrainConfig>,
     /// Obstacles on the ground, with the ground's surface.
     pub obstacles: Vec<ObstacleConfig>,
-    /// Where obstacles stand. Default: in every env.
+    /// Placement of the obstacles. Default: in every env.
     pub placement: Placement,
     /// Distance of the points at which the articulated engine knows the height of terrain and
     /// obstacles, m. Default: 0.02.
@@ -41,15 +41,15 @@ pub struct SceneConfig {
     pub grid_cell: f64,
 }
 
-/// Where the obstacles of a scene stand.
+/// Placement of the obstacles of a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Placement {
     /// Every env has each of them; positions are about the env's origin.
     #[default]
     PerEnv,
-    /// There is one of each; positions are in the world, where envs have their origins on a grid or
-    /// on their tiles.
+    /// Each obstacle stands once in the world, where envs have their origins on a grid or on their
+    /// tiles.
     Global,
 }
 
@@ -86,8 +86,8 @@ pub struct GroundConfig {
     /// Share of the approach speed that is given back, 0 to 1. Default: 0.
     #[serde(deserialize_with = "values::fraction")]
     pub restitution: f64,
-    /// How ground and robot make one coefficient of static and of dynamic friction. Default:
-    /// multiply.
+    /// Combination of the coefficients of ground and robot, of static and of dynamic friction.
+    /// Default: multiply.
     pub friction_combine: FrictionCombine,
 }
 
@@ -104,13 +104,13 @@ impl Default for GroundConfig {
     }
 }
 
-/// How the coefficients of two surfaces make one.
+/// Combination of the coefficients of two surfaces into one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FrictionCombine {
-    /// Their product.
+    /// The product of both coefficients.
     Multiply,
-    /// Their mean.
+    /// The mean of both coefficients.
     Average,
     /// The smaller one.
     Min,
@@ -157,7 +157,7 @@ pub enum ObstacleConfig {
     Capsule {
         /// Radius, m.
         radius: f64,
-        /// Between the centres of the ends, m.
+        /// Distance between the centres of the ends, m.
         length: f64,
         /// Position of the centre.
         position: [f64; 3],
@@ -260,7 +260,7 @@ impl SceneConfig {
 }
 
 impl ObstacleConfig {
-    /// Where it is and how it is turned: `position` and `rpy`.
+    /// Position and orientation: `position` and `rpy`.
     pub fn placement(&self) -> ([f64; 3], [f64; 3]) {
         match self {
             Self::Sphere { position, .. } => (*position, [0.0; 3]),
@@ -285,7 +285,7 @@ impl ObstacleConfig {
         (z + lowest < -FLUSH).then_some([[x - half[0], y - half[1]], [x + half[0], y + half[1]]])
     }
 
-    /// Its lengths, m, or the factors of a mesh.
+    /// Lengths of the shape, m, or the factors of a mesh.
     fn lengths(&self) -> [f64; 3] {
         match self {
             Self::Box { size, .. } | Self::Ramp { size, .. } | Self::Stairs { size, .. } => *size,

@@ -13,10 +13,10 @@ const MOST_PIXELS: u32 = 1000;
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RayCasterCameraConfig {
-    /// Where robots carry it whose own config has no `camera`. Default: these have none.
+    /// Mount on robots whose own config has no `camera`. Default: these have no camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mount: Option<CameraMountConfig>,
-    /// Its pixels.
+    /// Pixels of the image.
     pub pattern_cfg: PinholeCameraPatternConfig,
     /// Quantity of each pixel. Default: `distance_to_image_plane`.
     #[serde(default)]
@@ -80,8 +80,8 @@ impl PinholeCameraPatternConfig {
     }
 }
 
-/// Where a robot carries its camera. The camera looks along its x axis; its y axis points to the
-/// left of the image and its z axis to the top.
+/// Mount of a robot's camera. The camera looks along its x axis; its y axis points to the left of
+/// the image and its z axis to the top.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraMountConfig {

@@ -34,7 +34,7 @@ pub struct TaskConfig {
     pub experiment_name: String,
     /// Names of the robots, in the order of their blocks of envs.
     pub robots: Vec<String>,
-    /// How many shares of the envs each robot has, by its name; robots that are not named have one.
+    /// Number of shares of the envs by robot; robots that are not named have one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty", deserialize_with = "values::env_shares")]
     pub env_shares: BTreeMap<String, u32>,
     /// Changes of this task to robots' configs, by the robot's name: tables laid out like
@@ -270,7 +270,7 @@ fn command_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D
     params_beside(deserializer, &["resampling_time_s"])
 }
 
-/// How velocity commands are drawn; each range uniformly, base frame, its ends from -1000 to 1000.
+/// Ranges of velocity commands, which are drawn uniformly; base frame, ends from -1000 to 1000.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct VelocityCommandConfig {
@@ -385,7 +385,7 @@ impl HeightScannerConfig {
         self.size.map(|length| ((length / self.resolution + 1e-9) as usize).saturating_add(1))
     }
 
-    /// Where the rays are about the base, m: from back to front and, row by row, from right to
+    /// Places of the rays about the base, m: from back to front and, row by row, from right to
     /// left.
     #[must_use]
     pub fn rays(&self) -> Vec<[f32; 2]> {
@@ -477,8 +477,8 @@ pub struct ObservationTerm {
     /// Factor of the limited numbers. Default: 1.
     #[serde(deserialize_with = "values::number_of::<Factor, _, _>", default = "one")]
     pub scale: f64,
-    /// How many control steps it remembers: the term's last numbers, the oldest first. Default: 1,
-    /// the present one alone.
+    /// Number of control steps that it remembers: the term's last numbers, the oldest first.
+    /// Default: 1, the present one alone.
     #[serde(default = "one_step", skip_serializing_if = "is_one_step")]
     pub history_length: u32,
     /// Declaration of a term that the simulation's caller computes. Default: none, the term is
@@ -502,7 +502,7 @@ pub struct ExternalConfig {
     /// Number of values of a control step; of each joint or foot with those kinds.
     #[serde(deserialize_with = "values::count_up_to::<MAX_EXTERNAL, _>")]
     pub size: u32,
-    /// How the numbers change in a mirror. Default: not at all.
+    /// Change of the numbers in a mirror. Default: none.
     #[serde(default)]
     pub kind: ExternalKind,
     /// SI units. Default: none.
@@ -538,7 +538,7 @@ pub enum ExternalKind {
 /// One randomisation or disturbance.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct EventConfig {
-    /// When it happens.
+    /// Occasion of the event.
     pub mode: EventMode,
     /// Whether it happens at all. Default: yes.
     #[serde(default = "yes")]
@@ -560,15 +560,15 @@ fn event_params<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Table, D::
     params_beside(deserializer, &["mode", "enabled", "interval_range_s"])
 }
 
-/// When an event happens.
+/// Occasion of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EventMode {
-    /// Once, when the envs are made.
+    /// The event happens once, when the envs are made.
     Startup,
-    /// At the beginning of each episode.
+    /// The event happens at the beginning of each episode.
     Reset,
-    /// Again and again within an episode.
+    /// The event happens again and again within an episode.
     Interval,
 }
 

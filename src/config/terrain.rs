@@ -81,11 +81,12 @@ pub struct TerrainConfig {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Columns {
-    /// By an env's index among those of its robot: every robot meets every type of tile in equal
-    /// shares.
+    /// An env's column follows from its index among the envs of its robot: every robot meets every
+    /// type of tile in equal shares.
     #[default]
     PerRobot,
-    /// By an env's index among all: neighbours share a column, so that a robot meets few types.
+    /// An env's column follows from its index among all envs: neighbours share a column, so that a
+    /// robot meets few types.
     Contiguous,
 }
 

@@ -307,11 +307,11 @@ pub struct RoundObjectConfig {
 pub trait RepeatedObject {
     /// Number of such objects.
     fn count(&self) -> u32;
-    /// Its height.
+    /// Height of an object.
     fn height(&self) -> f64;
-    /// Largest angle by which it is tilted, degrees.
+    /// Largest angle by which an object is tilted, degrees.
     fn tilt(&self) -> f64;
-    /// Its width at most, seen from above while it is upright.
+    /// Largest width of an upright object, seen from above.
     fn width(&self) -> f64;
 }
 

@@ -65,7 +65,7 @@ pub fn number_of<'de, Q: Quantity, N: Number, D: Deserializer<'de>>(deserializer
     Of::<Q>::deserialize(deserializer).map(|number| N::of(number.0))
 }
 
-/// A [`number_of`] that may be left out (with `#[serde(default)]`).
+/// A number of the quantity `Q` that may be left out (with `#[serde(default)]`).
 ///
 /// # Errors
 /// As [`number_of`].

@@ -272,7 +272,7 @@ pub struct Block<R> {
     pub rows: R,
 }
 
-/// Blocks in the order of their envs, each of another morphology; `I` makes one after the other.
+/// Blocks of an iterator `I`, one for each morphology, in the order of their envs.
 #[derive(Clone, Debug)]
 pub struct BlockIter<I> {
     blocks: I,
@@ -289,7 +289,7 @@ pub type BlockList<R> = BlockIter<OrderedBlocks<R>>;
 pub struct OrderedBlocks<R> {
     /// A block that has been returned is absent.
     blocks: Vec<Option<Block<R>>>,
-    /// Where the blocks that are left lie, in the order of their envs.
+    /// Indices of the blocks that are left, in the order of their envs.
     order: std::vec::IntoIter<usize>,
 }
 

@@ -1,4 +1,4 @@
-//! When a state counts as broken.
+//! Limits beyond which a state counts as broken.
 
 use serde::{Deserialize, Serialize};
 

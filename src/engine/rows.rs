@@ -112,7 +112,7 @@ macro_rules! robot_slices {
         /// The components that an engine reads and writes of one morphology's robots, one row for
         /// each robot.
         pub struct RobotSlices<'a> {
-            /// Where the envs are on the ground. Read only.
+            /// Places of the envs on the ground. Read only.
             pub origins: &'a [EnvOrigin],
             $($(#[$doc])* pub $name: &'a mut [$component],)*
         }

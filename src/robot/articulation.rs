@@ -40,9 +40,9 @@ pub struct Articulation {
 }
 
 impl Articulation {
-    /// From a model; `floating` or with the base fixed to the world. Joints have the efforts of the
-    /// URDF as limits and no actuator gains; velocity limits are left to actuators. A position or
-    /// effort limit that is absent is infinite.
+    /// Makes the articulation of a model, `floating` or with the base fixed to the world. Joints
+    /// have the efforts of the URDF as limits and no actuator gains; velocity limits are left to
+    /// actuators. A position or effort limit that is absent is infinite.
     ///
     /// With `self_collision` links may touch each other; it is a pose (one position per joint, rad
     /// or m) in which none is meant to: shapes that overlap there do so by design and are left

@@ -160,7 +160,7 @@ pub fn summed_up(warnings: &[Warning]) -> Vec<Warning> {
     shown
 }
 
-/// How a joint is locked in each way to load a robot.
+/// Remedy that locks a joint, for each way to load a robot.
 pub(super) const LOCK: &str = "lock the joint in locked_joints (--lock JOINT=POSITION of check and robot new)";
 
 /// Longest name that is compared with others, bytes: the comparison takes time that grows with its

@@ -4,8 +4,8 @@ use glam::{DMat3, DVec3};
 
 use super::pose::Pose;
 
-/// How far, relative to the largest principal moment, the smallest may exceed the triangle
-/// inequality: published figures are rounded.
+/// Largest violation of the triangle inequality by principal moments, relative to the largest one:
+/// published figures are rounded.
 const TRIANGLE_TOLERANCE: f64 = 1e-6;
 
 /// Largest share of the largest principal moment at which a moment counts as zero.

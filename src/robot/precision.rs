@@ -71,8 +71,8 @@ struct Moved {
     /// `None`: the base.
     joint: Option<usize>,
     is_prismatic: bool,
-    /// About the joint's axis, and of all that hangs on it as one body, kg m^2; kg for a prismatic
-    /// joint.
+    /// Inertia about the joint's axis, kg m^2; kg for a prismatic joint. `whole` is that of all
+    /// that hangs on the joint as one body.
     own: f64,
     whole: f64,
 }
@@ -156,7 +156,7 @@ impl Articulated {
         (own, Self { turn, couple: less(self.couple, moment, force), shift: less(self.shift, force, force) })
     }
 
-    /// About a point from which the present one lies at `offset`.
+    /// The inertia about a point from which the present one lies at `offset`.
     fn shifted(&self, offset: DVec3) -> Self {
         let r = cross(offset);
         Self {

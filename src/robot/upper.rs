@@ -23,7 +23,7 @@ const ARM_JOINTS: usize = 3;
 /// A limb that is no leg.
 pub(super) struct UpperChain {
     pub joints: Vec<usize>,
-    /// Joints that hang on it outside its chain.
+    /// Joints that hang on the limb outside its chain.
     pub twigs: Vec<usize>,
     pub place: Place,
     pub kind: LimbKind,

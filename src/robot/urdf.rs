@@ -1,4 +1,4 @@
-//! From a file to a [`Model`]: the passes in their order, and the guard around the parser.
+//! Reads a file into a [`Model`]: the passes in their order, and the guard around the parser.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};

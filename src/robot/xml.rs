@@ -10,7 +10,7 @@ const MAX_NAMESPACES: usize = 256;
 /// Elements, comments and pieces of text of a document. A node takes about 100 bytes.
 const MAX_NODES: u32 = 4 << 20;
 
-/// Where a text is no XML that is read, and why.
+/// Place at which a text is no XML that is read, and the reason.
 pub(super) struct Fault {
     pub line: usize,
     pub column: usize,

@@ -73,7 +73,7 @@ pub struct GroundCollider;
 pub struct ObstacleCollider {
     /// Place of the obstacle in the task's list.
     pub index: usize,
-    /// Radius about its position that holds the collider, m.
+    /// Radius of the ball about the obstacle's position that holds the collider, m.
     reach: f32,
     /// Height of the collider's highest point, m.
     top: f32,

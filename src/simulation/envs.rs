@@ -97,9 +97,9 @@ impl Env {
 /// Input of the actuators.
 #[derive(Clone, Copy)]
 pub(super) enum Actuation<'a> {
-    /// These targets, by the gains.
+    /// Targets that the gains follow.
     Targets(Rows<'a>),
-    /// These efforts alone.
+    /// Efforts alone.
     Effort(Rows<'a>),
 }
 

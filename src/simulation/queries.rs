@@ -14,7 +14,7 @@ use crate::dynamics::{Dynamics, Scalar, State, Workspace, point_motion};
 use crate::error::Error;
 use crate::workers::MatrixRows;
 
-/// Where the links are, in the world.
+/// Poses of links in the world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkPoses {
     /// Origins, m, `[num_envs, links, 3]`.
@@ -23,7 +23,7 @@ pub struct LinkPoses {
     pub quaternion: Vec<f64>,
 }
 
-/// How the links move, in world axes.
+/// Velocities of links, in world axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkVelocities {
     /// Velocities of the origins, m/s, `[num_envs, links, 3]`.
@@ -63,7 +63,7 @@ impl Simulation {
         out
     }
 
-    /// Where the links are.
+    /// Computes the poses of the links.
     pub fn link_pose(&self) -> LinkPoses {
         let links = self.num_links();
         let rows = self.query(7 * links, |body, _, out| {
@@ -84,7 +84,7 @@ impl Simulation {
         LinkPoses { position, quaternion }
     }
 
-    /// How the links move.
+    /// Computes the velocities of the links.
     pub fn link_velocity(&self) -> LinkVelocities {
         let links = self.num_links();
         let rows = self.query(6 * links, |body, _, out| {

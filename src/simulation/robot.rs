@@ -14,7 +14,7 @@ use crate::error::Error;
 use crate::morphology::{ConfiguredRobot, lowest_point};
 use crate::robot::{self, Articulation, Coupled, LoadOptions, Model};
 
-/// How the options read a URDF.
+/// Options of the reader of URDFs.
 fn load_options(options: &SimulationOptions) -> LoadOptions {
     LoadOptions {
         package_dirs: options.package_dirs.clone(),

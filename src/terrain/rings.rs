@@ -4,7 +4,7 @@ use super::mesh::Mesh;
 use super::tiles::Level;
 use crate::config::{GapConfig, RailsConfig, RampsConfig, RingConfig, SECOND_STEP, StairsConfig};
 
-/// Where the outer rail begins on the way from the platform to the tile's edge.
+/// Begin of the outer rail on the way from the platform to the tile's edge, as a share of it.
 const OUTER_RAIL: f64 = 0.6;
 
 /// A square about the middle with this half edge length.

@@ -6,7 +6,7 @@ use super::{field, rings, scattered};
 use crate::components::EnvRng;
 use crate::config::{BoxesConfig, StairsConfig, SubTerrainShape, TerrainConfig};
 
-/// How hard a tile is.
+/// Difficulty of a tile.
 pub(super) struct Level<'a> {
     /// Config of the terrain that the tile belongs to.
     pub(super) config: &'a TerrainConfig,

@@ -1,4 +1,4 @@
-//! Where feet are set down, and how high they swing.
+//! Commands of where feet are set down and of how high they swing.
 //!
 //! The numbers are those of Walk These Ways (MIT): width and length of the stance and height of the
 //! swing. Widths and lengths are factors of the robot's own stance, so that they serve any number

@@ -39,7 +39,7 @@ pub use height_scan::ScanRays;
 pub struct SensedRobot<'a> {
     /// Morphology of the robot.
     pub morphology: &'a MorphologyModel,
-    /// Where the env is on the ground.
+    /// Place of the env on the ground.
     pub origin: &'a EnvOrigin,
     /// Pose of the base.
     pub pose: &'a BasePose,
@@ -233,11 +233,11 @@ fn begin_episodes<S: Sensor>(mut sensing: Sensing<S>) -> Result {
 /// Reason for reading a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Occasion {
-    /// After the physics of a control step.
+    /// The physics of a control step is done.
     Measure,
-    /// Robots whose episode has just begun, which begin it.
+    /// An episode has just begun.
     Begin,
-    /// After a snapshot was restored.
+    /// A snapshot was restored.
     Renew,
 }
 

@@ -106,7 +106,7 @@ impl RayCasterCamera {
     }
 }
 
-/// Where a robot's camera is: by its own config, else by the task's.
+/// Mount of a robot's camera: by the robot's config, else by the task's.
 fn mount_of<'a>(
     morphology: &'a MorphologyModel,
     of_task: Option<&'a CameraMountConfig>,

@@ -298,7 +298,8 @@ impl CompiledTask {
                     let remedy = "register it with another size, kind or blocks";
                     ConfigError::invalid(file, element.as_str(), problem, remedy)
                 })?;
-                // in other groups a teacher of quadrupeds reads it, and other robots have zeros
+                // a teacher of quadrupeds may read it in other groups, where other robots have
+                // zeros
                 let other = morphologies.0.iter().find(|robot| robot.quadruped.is_none() && group == POLICY_GROUP);
                 if let Some(other) = other.filter(|_| spec.is_of_quadrupeds()) {
                     let problem = format!(

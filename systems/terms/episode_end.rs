@@ -8,7 +8,7 @@ use crate::terrain::TerrainLayout;
 pub struct EpisodeEnd<'a> {
     /// Length of the episode and the causes of its end.
     pub episode: &'a Episode,
-    /// Where the robot was then.
+    /// Pose of the robot then.
     pub pose: &'a BasePose,
     /// Command at the end.
     pub command: &'a Command,
@@ -29,6 +29,6 @@ pub struct EpisodeEnd<'a> {
     pub given_s: f32,
     /// The tiles, if the ground is generated terrain.
     pub layout: Option<&'a TerrainLayout>,
-    /// Where the next episode begins.
+    /// Origin of the next episode.
     pub origin: &'a mut EnvOrigin,
 }

@@ -160,13 +160,13 @@ pub struct TermSpec {
     pub joint_mirror: &'static [JointMirror],
 }
 
-/// How a number of a joint changes in a mirror between left and right.
+/// Change of a number of a joint in a mirror between left and right.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointMirror {
-    /// Like the joint's position: it takes the joint's sign.
+    /// The number takes the joint's sign, as its position does.
     Position,
-    /// Like the joint's position with another change of sign: components of an axis forward and up.
+    /// The number takes the opposite of the joint's sign: components of an axis forward and up.
     Opposite,
     /// No change.
     Even,

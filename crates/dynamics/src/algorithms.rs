@@ -24,7 +24,7 @@ pub struct Dynamics<'a, S: Real> {
     pub topology: &'a Topology,
     /// Masses, frames and actuators of the bodies.
     pub parameters: &'a Parameters<S>,
-    /// Where they are and how they move. A fixed base keeps its pose; its velocities count as zero.
+    /// Positions and velocities. A fixed base keeps its pose; its velocities count as zero.
     pub state: &'a State<S>,
     /// Gravity in world axes, m/s^2.
     pub gravity: [f64; 3],

@@ -4,7 +4,7 @@ use super::blocks::{BLOCK, Block, Blocks, Carrier, PathPart, Paths};
 use super::lanes::{MOST_LANES, Table};
 use super::lists::Lists;
 
-/// How a joint moves.
+/// Motion of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointMotion {
     /// Turns about its axis; position in rad.
@@ -16,11 +16,11 @@ pub enum JointMotion {
 /// A joint axis in the (base-aligned) frame of its link.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Axis {
-    /// Along x with this sign.
+    /// The x axis with this sign.
     X(f64),
-    /// Along y with this sign.
+    /// The y axis with this sign.
     Y(f64),
-    /// Along z with this sign.
+    /// The z axis with this sign.
     Z(f64),
     /// Any unit vector.
     General([f64; 3]),
@@ -107,7 +107,7 @@ impl Table<1> for EffortTable {
     }
 }
 
-/// Where a contact candidate sits on its link.
+/// Place of a contact candidate on its link.
 #[derive(Clone, Copy, Debug)]
 pub enum ContactKind {
     /// A sphere (or, with radius 0, a corner) at a fixed place.
@@ -189,7 +189,7 @@ pub struct PairTopology {
 #[derive(Clone, Debug)]
 pub(super) struct PairGroup {
     pub(super) links: [usize; 2],
-    /// Where they stand in [`Topology::pairs`].
+    /// Range of the pairs in [`Topology::pairs`].
     pub(super) pairs: std::ops::Range<usize>,
 }
 
@@ -429,7 +429,7 @@ impl Topology {
         self.blocks.slots[link]
     }
 
-    /// How many such places there are.
+    /// Number of such places.
     pub(super) fn num_slots(&self) -> usize {
         self.blocks.slots.iter().max().map_or(1, |last| last + 1)
     }

@@ -16,13 +16,14 @@ pub const BLOCK: usize = 3;
 /// Joints in a row of one chain, the nearest to the base first.
 #[derive(Clone, Copy, Debug)]
 pub struct Block {
-    /// The first [`len`](Self::len) are its joints.
+    /// Joints of the block, the first [`len`](Self::len).
     pub joints: [usize; BLOCK],
-    /// How many they are.
+    /// Number of the joints.
     pub len: usize,
     /// Number of blocks that carry it.
     pub num_carriers: usize,
-    /// Where its carriers start among those of all blocks, and its couplings with them in a factor.
+    /// Start of the block's carriers among those of all blocks, and of its couplings with them in a
+    /// factor.
     pub first_coupling: usize,
 }
 
@@ -39,9 +40,9 @@ pub struct Carrier {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PathPart {
     pub(super) joints: Carrier,
-    /// Where the places of its carriers start in [`Paths::carriers`].
+    /// Start of the places of the part's carriers in [`Paths::carriers`].
     first_carrier: usize,
-    /// Number of its carriers.
+    /// Number of these carriers.
     num_carriers: usize,
 }
 
@@ -49,7 +50,7 @@ pub(super) struct PathPart {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Paths {
     parts: Lists<PathPart>,
-    /// Where the carriers of each part's block stand in its path.
+    /// Places in the path of the carriers of each part's block.
     carriers: Vec<usize>,
 }
 

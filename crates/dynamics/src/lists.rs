@@ -6,7 +6,7 @@ use std::ops::Index;
 #[derive(Clone, Debug)]
 pub(super) struct Lists<T> {
     items: Vec<T>,
-    /// Where each list ends, after a leading zero, which is where the first one starts.
+    /// End of each list, after a leading zero, at which the first one starts.
     bounds: Vec<usize>,
 }
 

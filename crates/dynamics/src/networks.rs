@@ -17,9 +17,9 @@ use super::actuators::select_targets;
 /// Some features in a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
-    /// The first one.
+    /// Index of the first value.
     pub first: usize,
-    /// How many there are.
+    /// Number of values.
     pub len: usize,
 }
 
@@ -120,9 +120,9 @@ pub enum Instruction {
     Cell {
         /// Input, output, forget gate and candidate before their activations, `[4 * to]`.
         gates: Span,
-        /// Where `h` is remembered.
+        /// Place of `h` in the memory.
         hidden: usize,
-        /// Where `c` is remembered.
+        /// Place of `c` in the memory.
         cell: usize,
         /// `h'`.
         to: Span,
@@ -178,9 +178,9 @@ impl NetworkProgram {
 /// One input of a network.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NetworkInput {
-    /// Whether it is the joint's velocity, rad/s, or how far its target is above its position, rad.
+    /// Whether it is the joint's velocity, rad/s; else it is target less position, rad.
     pub is_velocity: bool,
-    /// How many physics steps ago.
+    /// Age of the number, physics steps.
     pub age: usize,
     /// Factor on the input.
     pub scale: f32,
@@ -254,7 +254,7 @@ pub struct NetworkStep<'a, S: Real> {
     pub networks: &'a [ActuatorNetwork],
     /// Physics step within the control step.
     pub substep: usize,
-    /// Where the robots are.
+    /// Positions and velocities of the robots.
     pub state: &'a State<S>,
     /// Has the targets, and is given the networks' efforts as feed-forward. An effort that is not
     /// finite leaves no finite force on the base, so that the state breaks.

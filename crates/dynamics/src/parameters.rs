@@ -153,10 +153,10 @@ pub(super) struct UniformParameters<'a, S> {
     pub(super) own: &'a Parameters<S>,
 }
 
-/// Number of entries of per-link lists that differ between [`UniformParameters`] bodies: the
-/// base's, the first.
+/// Number of entries of per-link lists in which [`UniformParameters`] bodies differ: the base's,
+/// the first.
 const BASE: usize = 1;
-/// Number of entries of other lists that differ between them.
+/// Number of entries of other lists in which these bodies differ.
 const NONE: usize = 0;
 
 /// Visits of a list of numbers.

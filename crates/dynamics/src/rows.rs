@@ -40,7 +40,7 @@ pub(super) struct ContactRows<S: Real> {
     pub(super) sticking: [S; 3],
     /// The inverse of the first of `inverse`.
     pub(super) diagonal: S,
-    /// How far the contact gives way to an impulse along its normal, m/s per N s.
+    /// Yield of the contact to an impulse along its normal, m/s per N s.
     pub(super) softness: S,
     /// Mass of a sliding step: the inverse of the tangential block's largest eigenvalue.
     pub(super) slide: S,

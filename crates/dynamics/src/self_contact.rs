@@ -165,7 +165,7 @@ pub fn pair_gap<S: Real>(topology: &Topology, work: &Workspace<S>, pair: usize) 
     places[..pair.spans.len()].iter().map(|place| shapes.proximity(place).gap).fold(S::splat(f64::MAX), S::min)
 }
 
-/// At least half the square of the largest speed of a body's points within the root of
+/// Upper bound of half the square of the speed of a body's points within the root of
 /// `squared_reach` of `centre`.
 #[inline(always)]
 fn half_squared_speed<S: Real>(velocity: &Spatial<S>, centre: &Vec3<S>, squared_reach: S) -> S {
@@ -270,8 +270,8 @@ impl<'a, S: Real> PairShapes<'a, S> {
         }
     }
 
-    /// Where each of the first capsule's parts comes nearest: places on the axis of the first, and
-    /// of the second if it is a capsule.
+    /// Nearest places of each part of the first capsule: on the axis of the first, and of the
+    /// second if it is a capsule.
     #[inline(always)]
     fn nearest(&self, spans: &[[f64; 2]]) -> [[S; 2]; 2] {
         match self {

@@ -136,7 +136,7 @@ impl<S: Real> Drive<S> {
     }
 }
 
-/// Where a link is and how it moves, in base axes about the base origin.
+/// Pose and velocity of a link, in base axes about the base origin.
 #[derive(Clone, Debug)]
 pub struct LinkState<S> {
     /// Link axes in base axes.
@@ -189,7 +189,7 @@ pub struct Workspace<S: Real> {
     pub(super) effort_slope: Vec<S>,
     /// Target position of each joint in the current physics step.
     pub(super) target: Vec<S>,
-    /// Where the colliders are.
+    /// Places of the colliders.
     pub(super) colliders: Vec<PlacedCollider<S>>,
     /// Boxes around all colliders of a link, `[links]`; without meaning for a link without
     /// colliders.

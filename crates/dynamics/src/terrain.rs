@@ -21,7 +21,7 @@ pub const LARGE_GROUP: usize = 64;
 /// from the first to the last corner; beyond the rectangle its edge goes on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct HeightGrid {
-    /// Where the first point is, x and y, m.
+    /// Place of the first point, x and y, m.
     pub origin: [f32; 2],
     /// Distance of two points, m.
     pub cell: f32,
@@ -38,7 +38,7 @@ pub struct HeightGrid {
     squares: [Squares; 2],
 }
 
-/// How near the ground of interest is.
+/// Distance up to which the ground is of interest.
 #[derive(Clone, Copy)]
 pub(super) enum Near {
     /// Ground below a link.
@@ -63,7 +63,7 @@ pub struct Squares {
 pub struct Terrain<'a, S> {
     /// The heights.
     pub grid: &'a HeightGrid,
-    /// Where the origin of each env is in the grid's frame, m.
+    /// Origin of each env in the grid's frame, m.
     pub origin: &'a [S; 2],
 }
 
@@ -76,7 +76,7 @@ impl HeightGrid {
         Self { origin, cell, size, points, columns, highest: height, squares: Default::default() }
     }
 
-    /// Where a point of a page is kept.
+    /// Index of a point of a page.
     fn place(&self, page: [usize; 2], within: [usize; 2]) -> usize {
         (page[0] * self.columns + page[1]) * PAGE_POINTS + within[0] * EDGE + within[1]
     }
@@ -249,8 +249,8 @@ impl HeightGrid {
         }
     }
 
-    /// Where the first corner of the cell below a place is kept, and where in the cell the place
-    /// is, 0 to 1 along x and y.
+    /// Index of the first corner of the cell below a place, and the place within the cell, 0 to 1
+    /// along x and y.
     #[inline(always)]
     fn cell_below(&self, x: f32, y: f32) -> (u32, f32, f32) {
         let (i, u) = Self::split((x - self.origin[0]) / self.cell, self.size[0]);
@@ -336,7 +336,7 @@ struct Samples {
     height: [f32; GROUP],
     along_x: [f32; GROUP],
     along_y: [f32; GROUP],
-    /// Where in its cell each place is, 0 to 1 along x and y.
+    /// Place within its cell, 0 to 1 along x and y.
     place: [[f32; GROUP]; 2],
     /// Heights of the cell's corners at its smaller x, by y.
     near: [[f32; GROUP]; 2],

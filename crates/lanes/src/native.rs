@@ -9,8 +9,7 @@ use super::{Kernel, Lanes, Real};
 use crate::elementary;
 use crate::token::Proof;
 
-/// Where the exponent of a single-precision number stands in its bits, and what is added to it
-/// there.
+/// Place of the exponent in the bits of a single-precision number, and its bias.
 const EXPONENT_SHIFT: i32 = 23;
 /// See [`EXPONENT_SHIFT`].
 const EXPONENT_BIAS: i32 = 127;

@@ -281,7 +281,8 @@ impl JointNetwork {
         self.columns.leg_heads.is_none() || self.columns.legs[slot]
     }
 
-    /// Calls `change` with the number of each joint and head of a tile that do not see each other.
+    /// Calls `change` with each joint and head of a tile that are not paired: heads of legs serve
+    /// joints of legs alone, and other heads the other joints.
     fn for_each_unseen(&self, t: &JointTile, mut change: impl FnMut(usize, usize)) {
         let Some(leg_heads) = self.columns.leg_heads else { return };
         for run in &t.runs {

@@ -18,7 +18,7 @@ pub(crate) struct Sort {
     pub(crate) goes_back: bool,
 }
 
-/// Where a layer's weights are.
+/// Place of a layer's weights.
 ///
 /// Its inputs and outputs may leave gaps, so that parts of them begin with a line. The weights of
 /// gaps are zero, and stay so.

@@ -65,7 +65,7 @@ pub(crate) struct Part {
     pub(crate) bodies: [Bodies; 2],
 }
 
-/// How an env's episode goes on after a step.
+/// State of an env's episode after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum End {
     None,

@@ -21,7 +21,7 @@ class Bound:
 
     quantity: str
     measured: str
-    """How the quantity is compared."""
+    """Way in which the quantity is compared."""
     result: type
     """Comparisons that have the figure."""
     figure: Callable[[Any], float | None]
@@ -29,7 +29,7 @@ class Bound:
     most: float
     """Largest figure that is accepted, SI units."""
     reason: str
-    """Where `most` comes from."""
+    """Origin of `most`."""
     unit: str = ""
     """Unit of the tables."""
     scale: float = 1.0

@@ -52,7 +52,8 @@ class Jumps:
     """Targets of a robot, and its answers at ever smaller steps."""
 
     targets: Array
-    """[jumps, joints]: one joint after the other is off its default position, rad."""
+    """Joint targets, rad, [jumps, joints]: one joint after the other is off its default
+    position."""
     gravity: bool
     """Whether gravity acts."""
     converged: Array

@@ -18,7 +18,7 @@ DROP_TIME = 3.0
 DT = 0.005
 """Physics step of the tasks, s."""
 FINE = 0.0005
-"""MuJoCo's step where nothing else is said, s."""
+"""MuJoCo's step by default, s."""
 MUJOCO_COARSE = 0.0025
 """The largest step at which MuJoCo's contacts, as stiff as they are set, stay calm, s."""
 CONVERGED = 0.0001
@@ -28,7 +28,7 @@ FRICTION = 0.8
 UNREACHED = 1e4
 """Speed of a joint that no landing reaches, rad/s."""
 SETTLE_TIME = 10.0
-"""Until a robot that is set on its feet has stopped swaying, s."""
+"""Time after which a robot that is set on its feet has stopped swaying, s."""
 SLOPE_ANGLE = math.radians(20.0)
 """Angle of the slope, rad."""
 SLOPE_FINE = 0.002
@@ -40,7 +40,7 @@ FIRM = 4.0
 with, some robots land in a deep crouch, and fall over when they stand still on a slope of 20
 degrees, in MuJoCo as well."""
 STAND_TIME = 2.0
-"""How long a robot has to stand, s."""
+"""Time that a robot has to stand, s."""
 CALM_TIME = 0.5
 """Time at the end in which the base must stay in place, s."""
 CALM_SPEED = 0.1
@@ -139,7 +139,7 @@ class Standing(Result):
 
 @dataclasses.dataclass(frozen=True)
 class SlopeRest(Result):
-    """How far a robot's base moves in 10 s on a slope of 20 degrees, after it has settled."""
+    """Distance that a robot's base moves in 10 s on a slope of 20 degrees, after it has settled."""
 
     uphill: str
     """Side of the robot that faces up the slope."""

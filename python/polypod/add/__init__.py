@@ -39,7 +39,7 @@ class Added:
     """A robot that was added."""
 
     new: new_robot.NewRobot
-    """Its config, and how it stands."""
+    """Config that was written, and how the robot stands."""
     origin: str
     notes: list[str]
     """Features that polypod cannot hold and their treatment, and assumptions."""

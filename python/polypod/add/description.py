@@ -16,7 +16,7 @@ LISTED = 4
 
 @dataclasses.dataclass(frozen=True)
 class Surface:
-    """How a shape touches the file's ground, by the file's own numbers."""
+    """Contact of a shape with the file's ground, by the file's own numbers."""
 
     friction: float = 1.0
     """Coefficient of sliding friction."""
@@ -35,15 +35,15 @@ class Shape:
     size: tuple[float, ...]
     """Radius; radius and length between the caps; radius and length; edges; nothing; m."""
     at: Array
-    """[3], in the link's frame, m."""
+    """Place in the link's frame, m, [3]."""
     turn: Array
-    """[3, 3], axes of the shape in those of the link."""
+    """Axes of the shape in those of the link, [3, 3]."""
     mesh: str = ""
     """Name of the mesh file without its ending."""
     vertices: Array | None = None
-    """[n, 3], of a mesh, in the shape's axes, m."""
+    """Vertices of a mesh, in the shape's axes, m, [n, 3]."""
     faces: npt.NDArray[np.intp] | None = None
-    """[n, 3], indices into the vertices."""
+    """Faces as indices into the vertices, [n, 3]."""
     surface: Surface = Surface()
 
 
@@ -66,7 +66,7 @@ class Joint:
     name: str
     kind: Literal["revolute", "continuous", "prismatic"]
     axis: Array
-    """[3], in the link's frame."""
+    """Axis in the link's frame, [3]."""
     lower: float
     upper: float
     """rad or m; infinite where there is no limit."""
@@ -80,9 +80,9 @@ class Joint:
     home: float
     """Position in the pose that the file states, or else where its frames are written down."""
     q: int
-    """Its place in MuJoCo's positions."""
+    """Index of the joint in MuJoCo's positions."""
     v: int
-    """Its place in MuJoCo's velocities."""
+    """Index of the joint in MuJoCo's velocities."""
     stiffness: float = 0.0
     """Stiffness of the joint's passive spring, N m/rad or N/m; 0: it has none."""
     rest: float = 0.0
@@ -96,15 +96,15 @@ class Link:
     name: str
     parent: int
     at: Array
-    """[3], of its frame in that of its parent with the joint at zero, m."""
+    """Place of its frame in that of its parent with the joint at zero, m, [3]."""
     turn: Array
-    """[3, 3], its axes in those of its parent with the joint at zero."""
+    """Axes of its frame in those of its parent with the joint at zero, [3, 3]."""
     joint: Joint | None
     """Joint that it hangs on; None: it is fixed."""
     mass: float = 0.0
     com: Array = dataclasses.field(default_factory=lambda: np.zeros(3))
     inertia: Array = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
-    """About the centre of mass, axes of the link, kg m^2."""
+    """Inertia about the centre of mass, axes of the link, kg m^2."""
     shapes: tuple[Shape, ...] = ()
 
 

@@ -76,7 +76,7 @@ def held_in(
 
 
 def _tied(made: Compiled, index: int, joint: int, other: int, home: Array) -> float:
-    """Where an equality constraint holds a joint in the home pose."""
+    """Position at which an equality constraint holds a joint in the home pose."""
     model = made.model
     at = 0.0
     if other >= 0:

@@ -47,7 +47,7 @@ class Errors:
 
     total_mass: float
     center_of_mass: float
-    """Over the robot's size."""
+    """Distance over the robot's size."""
     joint_limits: float
     """Largest difference, rad or m."""
     mass_matrix: float
@@ -297,7 +297,7 @@ def _apart(bounds: Array, others: Array) -> float:
 
 
 def _place(description: Description, link: str) -> tuple[Array, Array]:
-    """Where polypod's base is in the root of the file: position and axes."""
+    """Position and axes of polypod's base in the root of the file."""
     names = [each.name for each in description.links]
     at, turn = np.zeros(3), np.eye(3)
     index = names.index(link)

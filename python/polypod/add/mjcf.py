@@ -42,7 +42,7 @@ from polypod.arrays import Array
 TOKEN = 1e-6
 """Mass of a link between two joints of one body, kg: the least that the loader takes."""
 TOKEN_INERTIA = 1e-11
-"""Its principal moments, kg m^2."""
+"""Principal moments of inertia, kg m^2."""
 IMU = ("GYRO", "ACCELEROMETER", "FRAMEQUAT", "VELOCIMETER", "FRAMEANGVEL", "FRAMELINVEL", "MAGNETOMETER")
 """Sensors that make a site an IMU's."""
 

@@ -1,4 +1,4 @@
-"""How geoms of a compiled MJCF file touch its ground, as MuJoCo mixes the two."""
+"""Contacts of geoms of a compiled MJCF file with its ground, as MuJoCo mixes the two."""
 
 import functools
 from typing import Any
@@ -11,7 +11,7 @@ from polypod.add.description import Shape, Surface
 PLAIN = (3, (1.0, 0.005, 0.0001), 0.0, 0.0, 0)
 """`condim`, friction, margin, gap and priority of MuJoCo's default geom."""
 CONE_DIMS = {1: 0, 3: 1, 4: 2, 6: 3}
-"""By `condim`: how many of sliding, torsional and rolling friction a contact has."""
+"""Number of frictions of a contact, of sliding, torsional and rolling, by `condim`."""
 
 
 def floor_of(made: Compiled) -> tuple[int, int]:
@@ -54,7 +54,7 @@ def _pair(made: Compiled, geom: int) -> int | None:
 
 
 def surface_of(made: Compiled, geom: int) -> Surface:
-    """How a geom touches the ground: as MuJoCo mixes the two."""
+    """Contact of a geom with the ground, as MuJoCo mixes the two."""
     model, pair = made.model, _pair(made, geom)
     if pair is not None:
         of_pair = ("dim", "friction", "margin", "gap")

@@ -32,7 +32,7 @@ class Slots:
 
     @classmethod
     def of(cls, info: Mapping[str, Any]) -> "Slots":
-        """From the `robot_info` of a simulation of the robot."""
+        """Reads the `robot_info` of a simulation of the robot."""
         names = info["joint_names"]
         joints = {slot: names[joint] for slot, joint in zip(info["slots"], info["joint_of_slot"], strict=True)}
         return cls(joints, dict(zip(info["slots"], info["slot_signs"], strict=True)))

@@ -182,5 +182,5 @@ def _belongs(model: Any, body: int, names: list[str]) -> bool:
 
 
 def _actuator_order(model: Any, joint_names: tuple[str, ...]) -> list[int]:
-    """For each of MuJoCo's actuators the joint's place in polypod's order."""
+    """Places of the joints of MuJoCo's actuators in polypod's order."""
     return [joint_names.index(model.actuator(index).name) for index in range(model.nu)]

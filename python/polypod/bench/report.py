@@ -30,7 +30,7 @@ class Options:
     """None: all cores."""
     seed: int = 0
     quick: bool = False
-    """Only the main figures, in less than a minute."""
+    """Whether the main figures alone are measured, in less than a minute."""
     largest: int = 65536
     """Envs that the scaling goes up to."""
 

@@ -22,7 +22,7 @@ class _Choices:
     below: float = 0.0
     """Distance of the thigh below that axis, as a share of the leg."""
     spread: float = 0.0
-    """More abduction in the default pose, rad."""
+    """Additional abduction in the default pose, rad."""
     light: float = 1.0
     """Factor on the mass of the legs."""
     inwards: float = 0.9

@@ -46,7 +46,7 @@ class _Part:
     angle: float = 0.0
     """Angle in the default pose, rad."""
     zero: float = 0.0
-    """Where the file has its zero."""
+    """Angle that the file calls zero, rad."""
 
 
 def draw(name: str, rng: np.random.Generator, arms: bool) -> Body:

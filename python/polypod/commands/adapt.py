@@ -53,9 +53,9 @@ class Adapt:
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")
-    """The run lies in LOG_DIR/rsl_rl/adapt/."""
+    """Folder of runs: the run is written to LOG_DIR/rsl_rl/adapt/."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the learner runs; the simulator runs on the CPU."""
+    """Device of the learner; the simulator runs on the CPU."""
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     package_dir: PackageDirs = ()

@@ -18,22 +18,23 @@ class Bench:
     """Measure the speed of the physics, with MuJoCo's in the same run, or of trainings."""
 
     learner: bool = False
-    """Measure instead the time of each part of a training iteration, for every learner."""
+    """Measure the time of each part of a training iteration, for every learner."""
     workers: Annotated[str | None, arg(metavar="N,N,N")] = None
-    """Measure trainings with these numbers of workers instead, which share the same cores: for
-    example 1,2,4."""
+    """Measure trainings with these numbers of workers, which share the same cores: for example
+    1,2,4."""
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of --workers: workers on the CPU's cores, or on the machine's GPUs."""
     train_config: str = "quick"
     """Train config of --learner and --workers."""
     quick: bool = False
-    """Only the main figures, in less than a minute."""
+    """Measure the main figures alone, in less than a minute."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     robot: str = "unitree_a1"
     """Robot whose physics is compared."""
     num_envs: Count = None
-    """Number of envs, but where it is varied. Default: 4096; of trainings, the train config's."""
+    """Number of envs of measurements that do not vary it. Default: 4096; of trainings, the train
+    config's."""
     threads: int = 1
     """Threads of the physics figures, polypod's and MuJoCo's."""
     step_threads: Count = None

@@ -22,8 +22,8 @@ class Bodies:
     seed: int = 0
     """Seed of the draws. A body depends on it, on its number and on the kinds alone."""
     kinds: Annotated[str, arg(metavar="A,B,C")] = "quadruped,quadruped8,biped,humanoid,hexapod"
-    """Four legs of three joints or of two, two legs, two legs with arms, six legs; also
-    quadruped_arm, four legs with an arm on the base."""
+    """Kinds of bodies: four legs of three joints or of two, two legs, two legs with arms, six legs;
+    also quadruped_arm, four legs with an arm on the base."""
     prefix: Annotated[str, arg(metavar="NAME")] = "body"
     """Prefix of the robots' names."""
     wide: bool = False

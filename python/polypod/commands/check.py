@@ -41,7 +41,7 @@ def _exists(path: Path) -> bool:
 
 
 def _of_robot(source: str, dirs: dict[str, str], held: dict[str, float]) -> str:
-    """How the URDF of a robot is read, with the joints held that its config holds.
+    """Says how the URDF of a robot is read, with the joints held that its config holds.
 
     Raises ConfigError.
     """

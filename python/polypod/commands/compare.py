@@ -58,9 +58,9 @@ class Compare:
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Literal["walking", "task"] = "walking"
-    """Commands that walking is judged by, or commands as the task draws them."""
+    """Commands of the episodes: those that walking is judged by, or as the task draws them."""
     randomized: bool = False
-    """With the noise, the pushes and the randomisation of the training."""
+    """Keep the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
     """Names of the robots, with commas between. Default: those of the first policy that all others
     know."""
@@ -159,7 +159,7 @@ _NAMES = {"first": "A", "second": "B", None: "-"}
 
 
 def _verdict(comparison: "Comparison") -> str:
-    """How many differences the shown figures have, and how many chance alone brings."""
+    """Says how many differences the shown figures have, and how many chance alone brings."""
     shown: Sequence[str | None] = [
         found.better for figures in comparison.robots.values() for figure, found in figures.items() if figure in SHOWN
     ]

@@ -25,24 +25,24 @@ class Deploy:
     file: Annotated[Path, tyro.conf.Positional]
     """A policy_<robot>.onnx of polypod export --robots."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """With write: where to."""
+    """Folder for the files of write."""
     robot: Name = None
-    """With check: name or config of the robot. Default: the one that the contract names."""
+    """Name or config of the robot that check plays. Default: the one that the contract names."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With check: the policy to compare with. Default: the one of the export where it is found,
-    else the network in the file."""
+    """Policy that check compares with. Default: the policy of the export where it is found, else
+    the network in the file."""
     simulators: Annotated[str, arg(metavar="A,B")] = "polypod,mujoco"
-    """With check: where to play; mujoco needs the extra bench."""
+    """Simulators in which check plays the file; mujoco needs the extra bench."""
     num_envs: Annotated[int, arg(metavar="N")] = 4
-    """With check: robots side by side."""
+    """Number of robots that check plays side by side."""
     steps: Annotated[int, arg(metavar="N")] = 100
-    """With check: control steps of each."""
+    """Control steps of each robot in check."""
     seed: int = 0
-    """With check: seed of initial states, commands and delays."""
+    """Seed of initial states, commands and delays in check."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With check: also write the figures to this file."""
+    """File to which check also writes the figures."""
     set: Overrides = ()
-    """With check: changes the task's configuration, on top of the run's own changes. May be
+    """Changes the task's configuration in check, on top of the run's own changes. May be
     repeated."""
 
     def run(self) -> int:

@@ -41,24 +41,24 @@ class Eval:
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Literal["walking", "task"] = "walking"
-    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among
-    them; or commands as the task draws them."""
+    """Commands of the episodes: those that walking is judged by, new ones every 5 s with turns,
+    side-steps and stops; or as the task draws them."""
     grid: Annotated[tuple[int, int, int] | None, arg(metavar="NX NY NW")] = None
-    """Instead, let each episode hold one command of this many forward and left velocities and yaw
+    """Let each episode hold one command of a grid of this many forward and left velocities and yaw
     rates."""
     gate: bool = False
-    """Measure instead the published gate of nanoG1: falls and score over six commands, smoothness
-    of a walk ahead. The exit code is 3 where a robot does not pass."""
+    """Measure the published gate of nanoG1: falls and score over six commands, smoothness of a walk
+    ahead. The exit code is 3 where a robot does not pass."""
     randomized: bool = False
-    """With the noise, the pushes and the randomisation of the training."""
+    """Keep the noise, the pushes and the randomisation of the training."""
     robots: Robots = None
     """Names of the robots, with commas between; also robots that the policy was not trained on.
     Default: the run's."""
     task: Name = None
     """Name or alias of the task. Default: the run's."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The Python file of terms that the run was begun with, which is run; see docs/write-a-term.md.
-    Its curricula, startup and interval events are on with --randomized alone."""
+    """Python file of terms that the run began with; the file is run, see docs/write-a-term.md. Its
+    curricula, startup and interval events are on with --randomized alone."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None

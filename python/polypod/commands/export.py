@@ -19,10 +19,10 @@ class Export:
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Directory to write. Default: exported/ next to the checkpoint."""
     robots: RobotNames = None
-    """Also one graph per robot named here, with commas between, from its sensors to its joint
-    targets."""
+    """Names of robots, with commas between: also write a graph for each, from its sensors to its
+    joint targets."""
     fold: bool = False
-    """The same for all robots that the policy was trained on."""
+    """Write such a graph for each robot that the policy was trained on."""
     formats: Annotated[tuple[Literal["onnx", "torchscript"], ...], arg(metavar="FORMAT")] = ("onnx", "torchscript")
     """Kinds of files to write."""
 

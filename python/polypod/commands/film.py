@@ -51,7 +51,7 @@ class FilmOf:
     push: Annotated[float, arg(metavar="V")] = 1.0
     """Velocity that a push adds, m/s."""
     warm_up: Annotated[float, arg(metavar="S")] = 1.5
-    """Simulated before anything is shown, s."""
+    """Simulated time before the film begins, s."""
     fps: int = 12
     """Frames per second."""
     size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 300)

@@ -16,7 +16,7 @@ PACKAGES = ("numpy", "gymnasium", "torch", "rsl-rl-lib", "tensordict", "mujoco",
 VARIABLES = ("POLYPOD_PATH", "POLYPOD_SIMD", "POLYPOD_NVRTC", "OMP_NUM_THREADS", "GOMP_SPINCOUNT")
 """Environment variables that change what polypod does."""
 _TIMEOUT_S = 10.0
-"""For the driver of the GPUs to answer."""
+"""Time for the driver of the GPUs to answer, s."""
 
 
 @dataclasses.dataclass(frozen=True)

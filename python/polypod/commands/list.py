@@ -19,7 +19,7 @@ class List:
     """List tasks, robots, bundled policies, train configs and kinds of commands."""
 
     kind: Annotated[Kind, tyro.conf.Positional] = "all"
-    """Kind of thing to list. `tasks` also lists the tasks that are made for one robot."""
+    """Kind of things to list. `tasks` also lists the tasks that are made for one robot."""
     json: bool = False
     """Print JSON in place of a table."""
 

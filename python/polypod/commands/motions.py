@@ -26,34 +26,34 @@ class Motions:
     motion for a robot, as .npz. import: read a .csv of frames. retarget: make a motion for another
     robot, and say what is lost. eval: measure a policy."""
     motion: Annotated[str | None, tyro.conf.Positional, arg(metavar="MOTION")] = None
-    """Name of a drawn motion, an .npz, with import a .csv, with eval a checkpoint."""
+    """Name of a drawn motion or an .npz; the .csv of import; the checkpoint of eval."""
     robot: Name = None
     """Name or config of the robot. Default: unitree_g1, or the one that the file names."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The .npz to write; of draw, import and retarget."""
+    """The .npz that draw, import and retarget write."""
     fps: float = 30.0
-    """With import: frames per second."""
+    """Frames per second of the .csv that import reads."""
     joints: Annotated[str | None, arg(metavar="A,B,C")] = None
-    """With import: joints in the order of the columns, where the first line does not name them;
+    """Joints in the order of the columns of the .csv, where its first line does not name them;
     `robot` for the order of the robot's URDF."""
     ground: bool = False
-    """With import: move the motion up or down so that its feet stand on the ground."""
+    """Move the imported motion up or down so that its feet stand on the ground."""
     robots: Robots = None
-    """With eval: the robots. Default: those of the run."""
+    """Robots that eval measures. Default: those of the run."""
     clips: Annotated[str | None, arg(metavar="A,B,C")] = None
-    """With eval: motions. Default: those of the run."""
+    """Motions that eval measures. Default: those of the run."""
     episodes: int = 16
-    """With eval: episodes of each robot and motion."""
+    """Episodes of each robot and motion in eval."""
     seed: int = 0
-    """With eval: seed of the noise with which episodes begin."""
+    """Seed of the noise with which episodes of eval begin."""
     mujoco: bool = False
-    """With eval: in MuJoCo in the place of polypod, from the same states; needs the extra bench."""
+    """Measure in MuJoCo in the place of polypod, from the same states; needs the extra bench."""
     threads: Count = None
-    """With eval: threads of the simulator. Default: one per core."""
+    """Threads of the simulator in eval. Default: one per core."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With eval: also write the figures to this file."""
+    """File to which eval also writes the figures."""
     set: Overrides = ()
-    """With eval: changes the task's configuration. May be repeated."""
+    """Changes the task's configuration in eval. May be repeated."""
 
     def run(self) -> int:
         """Runs the command and returns its exit code."""

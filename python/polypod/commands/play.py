@@ -40,7 +40,7 @@ class Play:
     seconds: Annotated[float | None, arg(metavar="S")] = None
     """Simulated time. Default: without end in the browser, else 10 s."""
     warm_up: Annotated[float, arg(metavar="S")] = 0.0
-    """Simulated before anything is shown, s."""
+    """Simulated time before anything is shown, s."""
     record: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write a recording: .html opens in any browser, .viser in viser's client."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -50,7 +50,7 @@ class Play:
     size: Annotated[tuple[int, int], arg(metavar="WIDTH HEIGHT")] = (640, 360)
     """Width and height of the film, pixels."""
     headless: bool = False
-    """Neither browser nor file: only print the table of results."""
+    """Print the table of results alone, without browser or file."""
     host: str = "127.0.0.1"
     """Address of the page. With 0.0.0.0 other machines reach it, and anyone who does steers."""
     port: int = 8080
@@ -59,7 +59,7 @@ class Play:
     """Show the makers' meshes, which the package robot_descriptions downloads once; needs the extra
     meshes."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The Python file of terms that the run was begun with, which is run."""
+    """Python file of terms that the run began with; the file is run."""
     seed: int = 0
     """Seed of every random stream."""
     threads: Count = None

@@ -40,7 +40,7 @@ class Robustness:
     """Names of conditions or of families of them, with commas between, such as
     nominal,friction,turn. Default: all."""
     simulators: Annotated[str, arg(metavar="A,B")] = "polypod,mujoco"
-    """Where to run: polypod, mujoco or both."""
+    """Simulators that run: polypod, mujoco or both."""
     condims: Annotated[str | None, arg(metavar="N,N")] = None
     """Dimensions of MuJoCo's contacts for every condition: 3 (sliding), 4 (with torsional
     friction), 6 (with rolling friction). Default: 3, and 4 and 6 where they matter most."""
@@ -61,12 +61,12 @@ class Robustness:
     model: Annotated[Path | None, arg(metavar="FILE")] = None
     """Another MuJoCo model of the robot in place of polypod's; see sim2sim."""
     map: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With --model, a TOML file that says which joint is which where names and geometry do not."""
+    """TOML file that names the joints of --model where names and geometry do not tell."""
     actuators: Literal["model", "policy", "motors"] = "model"
-    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors'
-    inertia."""
+    """Actuators of --model: its own; the policy's gains, limits and delays; or these with the
+    rotors' inertia."""
     contact: Literal["asis", "stiff", "condim3"] = "asis"
-    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling
+    """Contacts of --model: its own; as stiff as the step allows; or without torsional and rolling
     friction."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes and below the conditions'.

@@ -24,7 +24,7 @@ class Show:
     set: Overrides = ()
     """Changes of a task or a train config. May be repeated."""
     only: Annotated[str | None, arg(metavar="KEY")] = None
-    """Values whose key begins with this one, such as events.push_robot."""
+    """Begin of the keys whose values are shown, such as events.push_robot."""
     json: bool = False
     """Print JSON in place of lines."""
 

@@ -48,10 +48,12 @@ class Sim2sim:
     steps: Count = None
     """Control steps per episode. Default: 20 s, or a whole one."""
     commands: Annotated[Literal["walking", "task", "phases"] | None, arg(metavar="{walking,task,phases}")] = None
-    """Commands that walking is judged by, new ones every 5 s, turns, side-steps and stops among
-    them; commands as the task draws them; or --phases. Default: walking, with --model phases."""
+    """Commands of the episodes: those that walking is judged by, new ones every 5 s with turns,
+    side-steps and stops; as the task draws them; or --phases. Default: walking, with --model
+    phases."""
     command: Velocity = None
-    """Instead, one forward and left velocity (m/s) and yaw rate (rad/s) for all envs."""
+    """One forward and left velocity (m/s) and yaw rate (rad/s) for all envs, in place of
+    --commands."""
     dt: Annotated[float | None, arg(metavar="S")] = None
     """MuJoCo's physics step, s. Default: the task's, on terrain and with motions 0.002; with
     --model the file's."""
@@ -68,29 +70,27 @@ class Sim2sim:
     """Another MuJoCo model of the robot in place of polypod's: an MJCF file of the robot or of a
     scene, with its own masses, contacts, damping and actuators."""
     map: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With --model, a TOML file that says which joint is which where names and geometry do not."""
+    """TOML file that names the joints of --model where names and geometry do not tell."""
     actuators: Literal["model", "policy", "motors"] = "model"
-    """With --model: its actuators; the policy's gains, limits and delays; or these with the rotors'
-    inertia."""
+    """Actuators of --model: its own; the policy's gains, limits and delays; or these with the
+    rotors' inertia."""
     contact: Literal["asis", "stiff", "condim3"] = "asis"
-    """With --model: its contacts; as stiff as the step allows; or without torsional and rolling
+    """Contacts of --model: its own; as stiff as the step allows; or without torsional and rolling
     friction."""
     phases: Annotated[str | None, arg(metavar="A,B")] = None
-    """With --model, commands one after the other: forward, back, left, right (m/s), turn (rad/s),
+    """Commands of --model one after the other: forward, back, left, right (m/s), turn (rad/s),
     stop. Default: forward=0.8,turn=0.6,left=0.5,stop."""
     phase_s: Annotated[float, arg(metavar="S")] = 5.0
     """Length of a phase, s."""
     rounds: int = 1
     """Number of times that an episode goes through the phases."""
     differences: bool = True
-    """With --model, rank its differences from polypod's robot by the effect on one step
-    response."""
+    """Rank the differences of --model from polypod's robot by their effect on one step response."""
     video: Annotated[Path | None, arg(metavar="FILE")] = None
-    """With --model, also film polypod above and the model below (.gif, .webp, .mp4); needs the
-    extra play."""
+    """Film polypod above and --model below (.gif, .webp, .mp4); needs the extra play."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The Python file of terms that the run was begun with, which is run; see
-    docs/write-a-term.md. Its commands, observations and terminations see MuJoCo's state."""
+    """Python file of terms that the run began with; the file is run, see docs/write-a-term.md. Its
+    commands, observations and terminations see MuJoCo's state."""
     set: Overrides = ()
     """Changes the task's configuration, on top of the run's own changes. May be repeated."""
 

@@ -21,12 +21,12 @@ class Terms:
     """
 
     name: Annotated[str | None, tyro.conf.Positional, arg(metavar="NAME")] = None
-    """Name of a term, of which all is said. Default: one line for each term."""
+    """Name of a term to describe in full. Default: one line for each term."""
     kind: Annotated[Kind | None, arg(metavar="KIND")] = None
-    """Terms of this kind alone: rewards, observations, terminations, events, commands, curricula,
+    """Kind of terms to show: rewards, observations, terminations, events, commands, curricula,
     tracking; with --terms also metrics, memories."""
     terms: Annotated[Path | None, arg(metavar="FILE")] = None
-    """The terms of this Python file in the place of the built-in ones. The file is run."""
+    """Python file whose terms are shown in the place of the built-in ones. The file is run."""
     json: bool = False
     """Print JSON in place of tables."""
 

@@ -13,17 +13,18 @@ class Terrain:
     """Save a picture or the mesh of a task's ground, or make heights of yours a task's ground."""
 
     out: Path
-    """A .png (shaded map), .stl (triangles) or .npz (heights); with --heights a .toml, the task."""
+    """File to write: a .png (shaded map), .stl (triangles) or .npz (heights); with --heights a
+    .toml, the task."""
     task: Name = None
     """Name or alias of the task. Default: velocity_rough; with --heights alone velocity_flat, which
     the new task extends."""
     set: Overrides = ()
     """Changes the task's configuration, e.g. --set scene.terrain.seed=1. May be repeated."""
     heights: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
-    """A grey .png, x to the right and y upwards, or a .npy of [x, y] with heights in m. Every env
-    has them around its origin; heights below 0 are holes in the ground."""
+    """File with heights: a grey .png, x to the right and y upwards, or a .npy of [x, y] in m. Every
+    env has them around its origin; heights below 0 are holes in the ground."""
     tiles: bool = False
-    """The files of --heights become tiles of a terrain with levels, the easiest first."""
+    """Make tiles of a terrain with levels of the files of --heights, the easiest first."""
     scale: Annotated[tuple[float, float] | None, arg(metavar="LOW HIGH")] = None
     """Factors of the heights of --tiles at the easiest and the hardest level. Default: 1."""
     platform: Annotated[float, arg(metavar="M")] = 1.0

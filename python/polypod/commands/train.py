@@ -64,9 +64,9 @@ class Train:
     run_name: Name = None
     """Suffix of the name of the run's directory."""
     log_dir: Path = Path("logs")
-    """Runs lie in LOG_DIR/rsl_rl/<experiment>/."""
+    """Folder of runs: the run is written to LOG_DIR/rsl_rl/<experiment>/."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where the learner runs; the simulator runs on the CPU."""
+    """Device of the learner; the simulator runs on the CPU."""
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     set: Overrides = ()

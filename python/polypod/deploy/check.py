@@ -243,7 +243,7 @@ def _check_robot(file: File, interface: RobotInterface, manifest: Mapping[str, A
 def _network(
     file: File, manifest: Mapping[str, Any], source: str, checkpoint: Path | None
 ) -> tuple[torch.nn.Module, str]:
-    """The network that the file is compared with, and what it is. Raises ConfigError."""
+    """Returns the network to compare the file with, and its description. Raises ConfigError."""
     digest = file.metadata.get("checkpoint_sha256", "")
     if checkpoint is not None:
         policy = load(runs.resolve(checkpoint), robots=[source])

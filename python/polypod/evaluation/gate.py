@@ -67,7 +67,7 @@ class Gate:
 
     @property
     def missed(self) -> list[str]:
-        """Names of the bounds that do not hold; a figure that is not a number holds none."""
+        """Names of the bounds that do not hold; none holds for NaN."""
         values = {name: float(getattr(self, name)) for name in BOUNDS}
         return [
             name
@@ -151,13 +151,13 @@ class _Motion:
     fell: npt.NDArray[np.bool_]
     score: Array
     jerk: Array
-    """[steps, envs, slots], change of the actions."""
+    """Change of the actions, [steps, envs, slots]."""
     is_on: npt.NDArray[np.bool_]
-    """[steps, envs], whether the step before was of the same episode."""
+    """Whether the step before was of the same episode, [steps, envs]."""
     rates: Array
-    """[steps, envs, 3], angular velocities of the bases."""
+    """Angular velocities of the bases, [steps, envs, 3]."""
     speeds: Array
-    """[steps, envs, slots], speeds of the joints."""
+    """Speeds of the joints, [steps, envs, slots]."""
 
 
 def _run(sim: _core.VecSim, policy: Policy, commands: npt.NDArray[np.float32], seconds: float) -> _Motion:

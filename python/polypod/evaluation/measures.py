@@ -62,7 +62,7 @@ def foot_slip(forces: npt.ArrayLike, velocities: npt.ArrayLike) -> tuple[Array, 
 
 
 def stumbles(forces: npt.ArrayLike) -> Array:
-    """How many feet stumble, see `STUMBLE`.
+    """Number of feet that stumble, see `STUMBLE`.
 
     Args:
         forces: [num_envs, 3 feet], net contact force on each foot, N, world axes.

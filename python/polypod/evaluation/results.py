@@ -97,7 +97,7 @@ class RobotResult:
     """Figures of the definition of walking; None where the commands were not those of its
     schedule."""
     rising: Rising | None = None
-    """How well the robot gets up; None where the task does not reward it."""
+    """Figures of getting up; None where the task does not reward it."""
 
     def success(self, kind: str | None = None, level: int | None = None) -> float:
         """Share of successful episodes on tiles of a type and level, or of all; NaN without any."""
@@ -140,8 +140,7 @@ class Evaluation:
     """Commands along each axis, where each episode held one; None: see `commands`."""
     robots: dict[str, RobotResult]
     checkpoint: dict[str, Any] | None = None
-    """Where the policy came from: file, iteration, and the task, robots and seed of its
-    training."""
+    """Origin of the policy: file, iteration, and the task, robots and seed of its training."""
     measured: Measured | None = None
     """Date, machine and commit; None in files of builds that did not write it."""
     disturbances: list[str] = dataclasses.field(default_factory=list)
@@ -150,7 +149,7 @@ class Evaluation:
     distances: dict[str, Distance] = dataclasses.field(default_factory=dict)
     """Distance from the training bodies, by robot that the policy was not trained on."""
     commands: str = "task"
-    """How commands came about: "walking" for the schedule of `polypod.evaluation.walking`, "grid",
+    """Source of the commands: "walking" for the schedule of `polypod.evaluation.walking`, "grid",
     or "task" for commands as the task draws them. Files of builds that did not write it hold the
     latter two."""
 

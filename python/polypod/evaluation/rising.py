@@ -30,7 +30,7 @@ BEFORE_THE_END_S = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class Rising:
-    """How well one robot gets up."""
+    """Figures of one robot that gets up."""
 
     rate: float
     """Share of the episodes in which it is up within `WITHIN_S` and from then to the end."""
@@ -52,7 +52,7 @@ class Goal:
     """State in which a robot is up."""
 
     up: Array
-    """[3], unit vector in base axes that is to point up."""
+    """Unit vector in base axes that is to point up, [3]."""
     height: float
     """Height of the base that the task wants, m."""
 
@@ -85,7 +85,7 @@ def goals(sim: _core.VecSim, configs: Mapping[str, Any]) -> dict[str, Goal]:
 
 
 def is_up(goal: Goal, gravity: Array, height: Array) -> npt.NDArray[np.bool_]:
-    """[n], whether robots are up.
+    """Whether robots are up, [n].
 
     Args:
         goal: of the robot.
@@ -113,7 +113,7 @@ class Uptime:
         self._longest = np.maximum(self._longest, self._since)
 
     def episodes(self) -> dict[str, Array]:
-        """[num_envs] each: when an env is up to the end, s, or infinity; and `held`, s."""
+        """Times by env, s, [num_envs]: `up`, from which it is up to the end; `held`."""
         since = self._since * self._dt
         is_late = since < BEFORE_THE_END_S - 1e-9
         return {"up": np.where(is_late, np.inf, self._steps * self._dt - since), "held": self._longest * self._dt}

@@ -28,7 +28,8 @@ Commands = Literal["walking", "task"]
 """Source of the commands: the schedule of `walking`, or the task's sampling."""
 
 Grid = tuple[int, int, int]
-"""How many forward velocities, left velocities and yaw rates, each evenly over a robot's range."""
+"""Numbers of forward velocities, left velocities and yaw rates, each evenly over a robot's
+range."""
 
 
 def play_task(task: str) -> str:
@@ -260,7 +261,7 @@ def _commands(sim: _core.VecSim, grid: Grid) -> dict[str, npt.NDArray[np.float32
 
 
 def _held(sim: _core.VecSim, commands: Mapping[str, npt.NDArray[np.float32]], episode: int) -> npt.NDArray[np.float32]:
-    """[num_envs, 3], the commands of an episode.
+    """The commands of an episode, [num_envs, 3].
 
     Each robot's envs go on through the grid where the last one ended.
     """

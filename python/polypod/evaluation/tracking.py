@@ -1,4 +1,4 @@
-"""How well a policy tracks motions: errors of the key links, clip by clip."""
+"""Errors of the key links of a policy that tracks motions, clip by clip."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ class Seen:
 
     reference: Reference
     clip: npt.NDArray[np.int64]
-    """[envs], the clip of each."""
+    """Clip of each env, [envs]."""
     failed: npt.NDArray[np.bool_]
     running: npt.NDArray[np.bool_]
     parts: list[tuple[npt.NDArray[np.int64], Array, Array, Array]] = dataclasses.field(default_factory=list)

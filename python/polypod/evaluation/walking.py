@@ -89,9 +89,9 @@ class Schedule:
     """The commands of an episode of some envs."""
 
     commands: npt.NDArray[np.float32]
-    """[segments, envs, 3], forward and left velocity, m/s, and yaw rate, rad/s."""
+    """Forward and left velocity, m/s, and yaw rate, rad/s, [segments, envs, 3]."""
     kinds: npt.NDArray[np.str_]
-    """[segments, envs], of `KINDS`."""
+    """Kinds of the segments, of `KINDS`, [segments, envs]."""
     steps_per_segment: int
     """Control steps."""
     steps: int
@@ -166,7 +166,7 @@ class Schedule:
         return step % self.steps_per_segment == 0
 
     def at(self, step: int) -> npt.NDArray[np.float32]:
-        """[envs, 3], the commands of a control step."""
+        """The commands of a control step, [envs, 3]."""
         return self.commands[step // self.steps_per_segment]
 
 
@@ -292,7 +292,7 @@ class Record:
         self.schedule, self.step_dt = schedule, step_dt
         segments, num_envs = schedule.kinds.shape
         self.active = np.ones(num_envs, dtype=np.bool_)
-        """[envs], True until the env's robot falls."""
+        """Envs whose robot has not fallen yet, [envs]."""
         self.fell = np.zeros(num_envs, dtype=np.bool_)
         self.step = 0
         self._kinds = schedule.kinds
@@ -345,7 +345,7 @@ class Record:
 
     @property
     def steps(self) -> Array:
-        """[envs], control steps until the first fall."""
+        """Control steps until the first fall, [envs]."""
         steps: Array = self._steps.sum(axis=0)
         return steps
 

@@ -1,4 +1,4 @@
-"""From a checkpoint to files: graphs, manifests, and the comparison of each graph with torch."""
+"""Writes the graphs and manifests of a checkpoint, and compares each graph with torch."""
 
 import dataclasses
 import hashlib
@@ -289,7 +289,7 @@ class _Writer:
         )
 
     def _description(self, robot: RobotInterface) -> dict[str, Any] | None:
-        """How far the robot is from the training; None where that is not known."""
+        """Distance of the robot from those of the training; None where that is not known."""
         if robot.name in self.manifest["robots"]:
             return {"is_trained": True, "distance": 0.0, "nearest": robot.name}
         if (found := self.distances.get(robot.name)) is None:

@@ -38,9 +38,10 @@ forgiven."""
 MAX_TILT = 1.0
 """Tilt at which a loop stops where the task has no termination by tilt, rad."""
 JOINT_MARGIN = 0.1
-"""How far beyond its limits a joint may be measured, rad: calibration and the give of a stop."""
+"""Angle beyond its limits at which a joint may be measured, rad: calibration and the give of a
+stop."""
 QUATERNION_TOLERANCE = 0.05
-"""How far from 1 the length of a quaternion may be."""
+"""Largest difference of a quaternion's length from 1."""
 DAMPING_TIME = 0.1
 """Damping over stiffness in the damping mode, s: a joint falls as slowly as its own spring would
 creep back."""

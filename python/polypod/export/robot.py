@@ -57,8 +57,8 @@ class RobotInterface:
     constants: Mapping[str, Floats]
     """Values of the terms that describe the body, as the policy observes them."""
     scan_points: Floats
-    """[rays, 2], m, where the height scanner looks: ahead of the base's origin and to its left,
-    along its heading."""
+    """Points where the height scanner looks, m, [rays, 2]: ahead of the base's origin and to its
+    left, along its heading."""
     command_ranges: Mapping[str, Sequence[float]]
     """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low,
     high]."""
@@ -100,12 +100,12 @@ class RobotInterface:
         return known or next(f"{term.description} {term.units}".strip() for term in self.terms if term.term == name)
 
     def lever(self) -> Floats:
-        """[3, 3], maps an angular velocity to the centre of mass' velocity about the origin."""
+        """Matrix from an angular velocity to the centre of mass' about the origin, [3, 3]."""
         x, y, z = self.base_com
         return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=np.float32)
 
     def spread(self) -> Floats:
-        """[num_actions, joints], `default_pose + action @ spread` are the joint targets."""
+        """Matrix of the actions in `default_pose + action @ spread`, [num_actions, joints]."""
         spread = np.zeros((self.num_actions, len(self.joint_names)), dtype=np.float32)
         spread[self.columns, self.joint_of_slot] = self.action_scale * self.signs
         return spread
@@ -115,7 +115,7 @@ class RobotInterface:
         return len(self.columns) == self.num_actions and bool((self.signs == 1.0).all())
 
     def gather(self) -> Floats:
-        """[joints, num_actions], maps numbers of joints to the policy's columns.
+        """Matrix that maps numbers of joints to the policy's columns, [joints, num_actions].
 
         Columns of other joints get 0.
         """
@@ -124,7 +124,7 @@ class RobotInterface:
         return gather
 
     def mask(self) -> Floats:
-        """[num_actions], 1 where the robot has a joint, else 0."""
+        """Mask of the actions, [num_actions]: 1 where the robot has a joint, else 0."""
         mask = np.zeros(self.num_actions, dtype=np.float32)
         mask[self.columns] = 1.0
         return mask

@@ -29,7 +29,7 @@ LEAST_LOAD = 0.2
 
 
 def zero_moment_points(body: Body, motion: Motion) -> Array:
-    """[frames, 2], where the ground's force acts, m; NaN in flight."""
+    """Points where the ground's force acts, m, [frames, 2]; NaN in flight."""
     qpos = body.qpos(motion)
     linear, angular, joints = velocities(motion)
     speeds = np.zeros((len(qpos), 6 + len(body.joints)))
@@ -45,7 +45,7 @@ def zero_moment_points(body: Body, motion: Motion) -> Array:
 
 
 def loads(spans: list[list[tuple[float, float]]], times: Array) -> Array:
-    """[frames, 2], share of the weight on each foot.
+    """Share of the weight on each foot, [frames, 2].
 
     Args:
         spans: of each foot, when it is off the ground: begin and end, s.
@@ -66,7 +66,7 @@ def loads(spans: list[list[tuple[float, float]]], times: Array) -> Array:
 
 
 def wanted(body: Body, position: Array, yaw: Array, load: Array) -> Array:
-    """[frames, 2], the zero-moment points that stand on the soles.
+    """Zero-moment points that stand on the soles, [frames, 2].
 
     A sole bears its weight where it does in the default pose, as far as an ankle can hold that.
 
@@ -85,7 +85,7 @@ def wanted(body: Body, position: Array, yaw: Array, load: Array) -> Array:
 
 
 def sway(error: Array, height: float, fps: float, gravity: float) -> Array:
-    """[frames, 2], motion of a pendulum whose zero-moment point moves by `error`.
+    """Motion of a pendulum whose zero-moment point moves by `error`, [frames, 2].
 
     It is at rest at the ends, and solves c - height / gravity c'' = error by elimination.
     """

@@ -43,7 +43,7 @@ class Body:
     source: str
     """Name or path of the config."""
     joints: tuple[str, ...]
-    """As in the URDF."""
+    """Names of the joints as in the URDF."""
     links: tuple[str, ...]
     slots: tuple[str, ...]
     """Roles in canonical order."""
@@ -54,24 +54,24 @@ class Body:
     upper: Array
     """Limits of the joints, [joints], rad."""
     default: Array
-    """[joints], default pose, rad."""
+    """Default pose, rad, [joints]."""
     height: float
     """Height of the base in the default pose with flat soles on the ground, m."""
     leg: float
     """Height of the hips in the default pose, m: the unit of drawn and retargeted motions."""
     feet: Array
-    """[2, 3], feet in the default pose, the base above the world's origin, m."""
+    """Places of the feet in the default pose, the base above the world's origin, m, [2, 3]."""
     soles: Array
-    """[2, 4], orientations of the feet with flat soles."""
+    """Orientations of the feet with flat soles, [2, 4]."""
     hands: tuple[str, ...]
     """Last links of the arms."""
     key_links: tuple[str, ...]
     """Base, torso, hips, knees, feet, shoulders, elbows and hands."""
     rest_point: Array
-    """[2], centre of mass of the default pose, the base above the world's origin, m."""
+    """Centre of mass of the default pose, the base above the world's origin, m, [2]."""
     lean: float
-    """How far motions carry the base ahead of the default pose's place, m: 0 unless an ankle bears
-    the default pose on one foot by more than `BEARABLE`."""
+    """Distance by which motions carry the base ahead of the default pose's place, m: 0 unless an
+    ankle bears the default pose on one foot by more than `BEARABLE`."""
 
     def slot(self, name: str) -> int | None:
         """Index into the slots; None where the body lacks the role."""
@@ -90,18 +90,18 @@ class Body:
         return [int(self.joint_of_slot[self.slots.index(name)]) for name in names if name in self.slots]
 
     def by_slot(self, joint_pos: Array) -> Array:
-        """[..., slots], in canonical order and directions, of positions [..., joints]."""
+        """Joint positions [..., joints] in canonical order and directions, [..., slots]."""
         taken: Array = joint_pos[..., self.joint_of_slot] * self.sign_of_slot
         return taken
 
     def by_joint(self, slots: Array) -> Array:
-        """[..., joints] of positions [..., slots]; the inverse of `by_slot`."""
+        """Positions by slot in the order of the joints, [..., joints]; inverts `by_slot`."""
         joints = np.broadcast_to(self.default, (*slots.shape[:-1], len(self.joints))).copy()
         joints[..., self.joint_of_slot] = slots * self.sign_of_slot
         return joints
 
     def qpos(self, motion: Motion) -> Array:
-        """[frames, 7 + joints] of a motion; joints that it lacks stay in the default pose.
+        """Positions of a motion, [frames, 7 + joints]; others stay in the default pose.
 
         Raises ConfigError for joints that the robot does not have.
         """
@@ -127,14 +127,14 @@ class Body:
         return (*sim.link_pose(), *sim.link_velocity())
 
     def feet_gap(self, qpos: Array) -> Array:
-        """[frames, 2], distance of each foot from the ground, m."""
+        """Distance of each foot from the ground, m, [frames, 2]."""
         sim = _simulation(self.source, len(qpos))
         sim.set_state(qpos=qpos)
         gap: Array = sim.ground_gap()[:, [self.links.index(self.foot(side)) for side in range(2)]]
         return gap
 
     def effort(self, qpos: Array, qvel: Array, qacc: Array) -> Array:
-        """[frames, 6 + joints], forces and moments that a motion takes without a ground.
+        """Forces and moments that a motion takes without a ground, [frames, 6 + joints].
 
         The first three are a force at the base's origin, world axes, N; then a moment, base axes,
         N m.

@@ -47,11 +47,11 @@ class Base(msgspec.Struct, forbid_unknown_fields=True):
     up: Share | None = None
     """Displacement upwards, in leg lengths."""
     roll: Degrees | None = None
-    """About the x axis, degrees."""
+    """Angle about the x axis, degrees."""
     pitch: Degrees | None = None
-    """About the y axis, degrees."""
+    """Angle about the y axis, degrees."""
     yaw: Degrees | None = None
-    """About the z axis, degrees."""
+    """Angle about the z axis, degrees."""
 
 
 class Pose(msgspec.Struct, forbid_unknown_fields=True):
@@ -71,13 +71,13 @@ class Step(msgspec.Struct, forbid_unknown_fields=True):
     foot: str
     """Foot that steps: L or R."""
     start: Time
-    """When it leaves the ground, s."""
+    """Time at which it leaves the ground, s."""
     duration: Annotated[float, Meta(gt=0.05, le=60.0)]
     """Time until it stands again, s."""
     forward: Share = 0.0
-    """Where it then stands, from its place in the default pose, in leg lengths."""
+    """Place where it then stands, relative to that in the default pose, leg lengths."""
     left: Share = 0.0
-    """As `forward`, to the left."""
+    """Place to the left, in the same way."""
     yaw: Degrees = 0.0
     """Heading in which it then stands; its place is turned by it about the world's origin."""
     lift: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.15
@@ -90,9 +90,9 @@ class Jump(msgspec.Struct, forbid_unknown_fields=True):
     start: Time
     """When the feet leave the ground, s."""
     height: Annotated[float, Meta(gt=0.0, le=1.0)]
-    """How high the base rises in the flight, in leg lengths."""
+    """Height by which the base rises in the flight, leg lengths."""
     crouch: Annotated[float, Meta(gt=0.0, le=0.6)]
-    """How far it sinks before and after, in leg lengths."""
+    """Depth by which it sinks before and after, leg lengths."""
 
 
 class Drawing(msgspec.Struct, forbid_unknown_fields=True):

@@ -43,7 +43,7 @@ class Motion:
     base_pos: Array
     """Positions of the base's frame, [frames, 3], m."""
     base_quat: Array
-    """[frames, 4], w, x, y, z."""
+    """Orientations of the base, w, x, y, z, [frames, 4]."""
     link_names: tuple[str, ...] = ()
     """Links whose positions the motion's file says."""
     link_pos: Array | None = None

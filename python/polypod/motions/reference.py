@@ -23,23 +23,23 @@ class Reference:
     body: Body
     names: tuple[str, ...]
     first: Ids
-    """[clips], first frame of each."""
+    """First frame of each clip, [clips]."""
     last: Ids
-    """[clips], last frame of each."""
+    """Last frame of each clip, [clips]."""
     joint_pos: Array
-    """[frames, slots], canonical order and directions, rad."""
+    """Joint positions in canonical order and directions, rad, [frames, slots]."""
     joint_vel: Array
     base_pos: Array
     """Positions of the base's frame, [frames, 3], m."""
     base_quat: Array
     base_lin_vel: Array
-    """[frames, 3], of the base's origin, world axes, m/s."""
+    """Velocities of the base's origin, world axes, m/s, [frames, 3]."""
     base_ang_vel: Array
     """Angular velocities of the base, [frames, 3], world axes, rad/s."""
     links: Ids
-    """[keys], key links among the robot's; the base is the first of both."""
+    """Key links among the robot's, [keys]; the base is the first of both."""
     ends: npt.NDArray[np.bool_]
-    """[keys], feet and hands."""
+    """Feet and hands among the key links, [keys]."""
     link_pos: Array
     """Positions of the key links, [frames, keys, 3], m."""
     link_quat: Array
@@ -92,20 +92,22 @@ class Reference:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Errors:
-    """How far envs of one robot are from their frames. World axes; m, rad, s."""
+    """Differences of envs of one robot from their frames. World axes; m, rad, s."""
 
     anchor_pos: Array
     """Ways from the base to the reference's, [n, 3], m."""
     anchor_ori: Array
     """Angle between the base's orientation and the reference's, [n], rad."""
     heading: Array
-    """[n], angle of the base's heading from the reference's, to the left."""
+    """Angle of the base's heading from the reference's, to the left, rad, [n]."""
     gravity: Array
-    """[n], difference of the vertical direction's z component in base axes."""
+    """Difference of the vertical direction's z component in base axes, [n]."""
     link_pos: Floats
-    """[n, keys, 3], with the reference moved to the base's place on the ground and heading."""
+    """Differences of the key links' places, m, [n, keys, 3], with the reference moved to the base's
+    place on the ground and heading."""
     link_ori: Floats
-    """[n, keys], in the same way."""
+    """Angles between the key links' orientations, rad, [n, keys], with the reference moved in the
+    same way."""
     link_lin_vel: Floats
     """Differences of the key links' velocities, [n, keys, 3], m/s."""
     link_ang_vel: Floats

@@ -26,7 +26,7 @@ class Bins:
         """Cuts clips of these lengths, s."""
         self.options = options
         self.counts = np.array([max(1, round(duration / options.bin_s)) for duration in durations], dtype=np.int64)
-        """[clips], bins of each."""
+        """Number of bins of each clip, [clips]."""
         self.first = np.cumsum(self.counts) - self.counts
         self.total = int(self.counts.sum())
         """Bins of a robot."""
@@ -41,7 +41,7 @@ class Bins:
         return [memory(name, size=size, dtype="float64", per_env=False) for name in ("motion_failed", "motion_failing")]
 
     def decay(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        """Smooths the failures of a control step into those before."""
+        """Adds the failures of a control step to their running mean."""
         alpha = self.options.alpha
         arrays["motion_failed"][:] = (1.0 - alpha) * arrays["motion_failed"] + alpha * arrays["motion_failing"]
         arrays["motion_failing"][:] = 0.0
@@ -57,7 +57,7 @@ class Bins:
         return found
 
     def probabilities(self, arrays: Mapping[str, npt.NDArray[Any]], robot: int) -> Array:
-        """[bins] of a robot; they add up to one."""
+        """Probabilities of a robot's bins, [bins]; they add up to one."""
         if not self.options.adaptive:
             return self._uniform.copy()
         failed = arrays["motion_failed"][robot * self.total : (robot + 1) * self.total]

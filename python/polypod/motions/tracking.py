@@ -124,7 +124,7 @@ class Tracker:
         return self._errors
 
     def per_env(self, env: Any, value: Callable[[Errors, Reference], Array]) -> Array:
-        """[num_envs, ...], a number of each env's errors."""
+        """A number of each env's errors, [num_envs, ...]."""
         parts = [value(found, ref) for found, ref in zip(self.errors(env), self.references, strict=True)]
         whole: Array = np.zeros((env.num_envs, *parts[0].shape[1:]), dtype=parts[0].dtype)
         for rows, part in zip(self.rows, parts, strict=True):
@@ -132,14 +132,14 @@ class Tracker:
         return whole
 
     def anchor_pos(self, env: Any, base_pos: Array, base_quat: Array) -> Array:
-        """[num_envs, 3], position of the reference's base in base axes, m."""
+        """Position of the reference's base in base axes, m, [num_envs, 3]."""
         pos = np.zeros((env.num_envs, 3))
         for reference, rows in zip(self.references, self.rows, strict=True):
             pos[rows] = reference.base_pos[env.memory["motion_frame"][rows, 0]]
         return rotations.rotated(rotations.inverse(base_quat), pos - base_pos)
 
     def anchor_ori(self, env: Any, base_quat: Array) -> Array:
-        """[num_envs, 4], orientation of the reference's base in base axes."""
+        """Orientation of the reference's base in base axes, [num_envs, 4]."""
         quat = np.zeros((env.num_envs, 4))
         for reference, rows in zip(self.references, self.rows, strict=True):
             quat[rows] = reference.base_quat[env.memory["motion_frame"][rows, 0]]
@@ -154,7 +154,7 @@ class Tracker:
         self.clear()
 
     def command(self, env: Any) -> npt.NDArray[np.float32]:
-        """[num_envs, 2 look-ahead * joints], positions less the default pose, then velocities.
+        """Positions less the default pose, then velocities, [num_envs, 2 look-ahead * joints].
 
         Only envs whose frame has changed are computed: after a reset they are few.
         """
@@ -178,7 +178,7 @@ class Tracker:
         return self._command.reshape(env.num_envs, -1)
 
     def phase(self, env: Any) -> Array:
-        """[num_envs, 2], share of the clip that is over, and seconds that remain, at most 10."""
+        """Share of the clip that is over, and seconds that remain, at most 10, [num_envs, 2]."""
         whole = np.zeros((env.num_envs, 2))
         for reference, rows in zip(self.references, self.rows, strict=True):
             clip, frame = env.memory["motion_clip"][rows, 0], env.memory["motion_frame"][rows, 0]
@@ -280,7 +280,7 @@ class Tracker:
 
 
 def _ahead(reference: Reference, look_ahead: Sequence[int], columns: Ids, actions: int) -> npt.NDArray[np.float32]:
-    """[frames, 2 look-ahead, actions], joints some steps after each frame; a clip ends at rest."""
+    """Joint positions some steps after each frame, [frames, 2 look-ahead, actions]."""
     whole = np.zeros((len(reference.joint_pos), 2 * len(look_ahead), actions), dtype=np.float32)
     frame = np.arange(len(whole))
     last = np.repeat(reference.last, reference.last - reference.first + 1)
@@ -371,7 +371,7 @@ def _observations(tracker: Find, found: Options) -> list[Any]:
 
 
 def axes(quaternion: Array) -> Array:
-    """[n, 6], x and z axes of orientations: a mirror changes both as vectors."""
+    """The x and z axes of orientations, [n, 6]: a mirror changes both as vectors."""
     matrix = rotations.matrix(quaternion)
     return np.concatenate([matrix[..., 0], matrix[..., 2]], axis=-1)
 

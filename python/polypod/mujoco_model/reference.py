@@ -69,7 +69,7 @@ class Heights:
     """Heights of the ground on the points of a grid."""
 
     heights: npt.NDArray[np.float32]
-    """[points along x, points along y], heights, m."""
+    """Heights, m, [points along x, points along y]."""
     origin: tuple[float, float]
     """x and y of the first point, m."""
     cell: float
@@ -221,7 +221,7 @@ class Reference:
         ]
         of_geom = [surface_of(link, surfaces) for link in links]
         self.friction_factor = np.array([1.0 if surface is None else surface.friction for surface in of_geom])
-        """[geoms], on the coefficient of sliding friction of robot and ground."""
+        """Factors of the coefficient of sliding friction of robot and ground, [geoms]."""
         self.root = root.name
         self.actuators = actuators
         self._mj = mj
@@ -255,12 +255,12 @@ class Reference:
 
     @property
     def qpos(self) -> Array:
-        """[nq], a copy."""
+        """A copy of MuJoCo's positions, [nq]."""
         return np.array(self.data.qpos[self.q])
 
     @property
     def qvel(self) -> Array:
-        """[nv], a copy."""
+        """A copy of MuJoCo's velocities, [nv]."""
         return np.array(self.data.qvel[self.v])
 
     def set_state(self, qpos: Array, qvel: Array | None = None) -> None:
@@ -281,7 +281,7 @@ class Reference:
             self._limits.step(self.data)
 
     def mass_matrix(self) -> Array:
-        """[nv, nv] of the present state."""
+        """Mass matrix of the present state, [nv, nv]."""
         matrix = np.zeros((self.model.nv, self.model.nv))
         # MuJoCo 3 and 4 differ in the arguments of mj_fullM
         for column, unit in zip(matrix, np.eye(self.model.nv), strict=True):
@@ -289,11 +289,11 @@ class Reference:
         return matrix[np.ix_(self.v, self.v)]
 
     def bias_force(self) -> Array:
-        """[nv], Coriolis, centrifugal and gravity forces."""
+        """Coriolis, centrifugal and gravity forces, [nv]."""
         return np.array(self.data.qfrc_bias[self.v])
 
     def center_of_mass(self) -> Array:
-        """[3], centre of mass of the robot, world axes."""
+        """Centre of mass of the robot, world axes, [3]."""
         return np.array(self.data.subtree_com[self.model.body(self.root).id])
 
     def link_pose(self, links: list[str]) -> tuple[Array, Array]:

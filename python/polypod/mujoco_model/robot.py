@@ -98,7 +98,7 @@ class Robot:
     default_position: Array
     """Default position of each joint, rad."""
     joint_range: Array
-    """[joints, 2], position limits, rad."""
+    """Position limits, rad, [joints, 2]."""
     base_height: float
     """Height of the base above the lowest foot in the default pose, m."""
     actuators: Actuators

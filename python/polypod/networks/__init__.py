@@ -31,7 +31,7 @@ NETWORKS: dict[str, type[MLPModel]] = {
     "RNNModel": RNNModel,
     "polypod.networks:UrmaModel": UrmaModel,
 }
-"""By the class names of train configs and manifests, in which a masked perceptron is a
+"""Networks by the class names of train configs and manifests, in which a masked perceptron is a
 `MLPModel`."""
 
 

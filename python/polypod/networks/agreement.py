@@ -20,8 +20,8 @@ from polypod import _core
 TOLERANCE = 1e-5
 """Largest difference of a graph from its module, see `difference`."""
 ROUNDING = 10.0
-"""How much farther from float64 a graph may be than torch is in float32. Runtimes sum in different
-orders and approximate exponentials differently, which makes a factor of 2 or 3."""
+"""Largest error of a graph against float64, over that of torch in float32. Runtimes sum in
+different orders and approximate exponentials differently, which makes a factor of 2 or 3."""
 _SMALLEST = float(np.finfo(np.float32).tiny)
 
 
@@ -30,9 +30,9 @@ class Expected:
     """An output of a module."""
 
     value: npt.NDArray[np.float64]
-    """[..., columns], computed in float64 where the module allows it."""
+    """Outputs, computed in float64 where the module allows it, [..., columns]."""
     scale: npt.NDArray[np.float64]
-    """[columns], what a difference is relative to."""
+    """Magnitudes that differences are relative to, [columns]."""
 
 
 def expected(module: torch.nn.Module, inputs: Sequence[torch.Tensor], name: str) -> list[Expected]:

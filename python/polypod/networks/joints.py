@@ -1,4 +1,4 @@
-"""Where an observation holds what belongs to which joint."""
+"""Columns of an observation that belong to joints, and those that do not."""
 
 import dataclasses
 import re
@@ -21,19 +21,20 @@ class JointColumns:
     """
 
     states: npt.NDArray[np.int64]
-    """[numbers, joints], what a joint does: terms of the kind `per_joint`, such as position,
-    velocity, last action.
+    """Columns of the state of a joint, [numbers, joints]: terms of the kind `per_joint`, such as
+    position, velocity, last action.
 
     Each control step of a term with a history is a number, the oldest first."""
     magnitudes: npt.NDArray[np.float32]
-    """[numbers], typical magnitude of each of these."""
+    """Typical magnitudes of these numbers, [numbers]."""
     descriptions: npt.NDArray[np.int64]
-    """[numbers, joints], what a joint is: terms of the kind `per_joint` that are constants of the
-    robot. A joint that a robot lacks has zeros alone, and no joint that it has."""
+    """Columns of the description of a joint, [numbers, joints]: terms of the kind `per_joint` that
+    are constants of the robot. A joint that a robot lacks has zeros alone, and no joint that it
+    has."""
     general: npt.NDArray[np.int64]
-    """[n], columns that belong to no joint."""
+    """Columns that belong to no joint, [n]."""
     legs: npt.NDArray[np.bool_]
-    """[joints], which of the slots are of a leg, by their names."""
+    """Whether the slots are of a leg, by their names, [joints]."""
     num_obs: int
 
     @property

@@ -44,7 +44,7 @@ class MaskedMLPModel(MLPModel):
         hidden_state: HiddenState = None,
         stochastic_output: bool = False,
     ) -> torch.Tensor:
-        """As of `MLPModel`; actions that a robot lacks are 0."""
+        """Actions as those of `MLPModel`; actions that a robot lacks are 0."""
         if isinstance(self.distribution, MaskedGaussian):
             self.distribution.mask = obs[ACTION_MASK]
         output: torch.Tensor = super().forward(obs, masks, hidden_state, stochastic_output)
@@ -69,7 +69,7 @@ class MaskedNormalization(EmpiricalNormalization):
         super().__init__(shares.numel())
         self._absent = None if bool((shares > 0.0).all()) else torch.nonzero(shares == 0.0).squeeze(1)
         self.register_buffer("is_padded", (shares < 1.0).unsqueeze(0), persistent=False)
-        # squares of what is missing are 0 and lower the mean of all
+        # missing numbers are 0: they lower the mean of the squares of all
         scale = torch.where(shares > 0.0, shares.float().rsqrt(), 0.0)
         self.register_buffer("scale", scale.unsqueeze(0), persistent=False)
 
@@ -98,7 +98,7 @@ class MaskedGaussian(GaussianDistribution):
     """
 
     mask: torch.Tensor
-    """[n, output_dim], of the observations at hand; set before `update`."""
+    """Mask of the outputs for the observations at hand, [n, output_dim]; set before `update`."""
 
     def update(self, mlp_output: torch.Tensor) -> None:
         """Takes the means, [n, output_dim]."""
@@ -114,7 +114,7 @@ class MaskedGaussian(GaussianDistribution):
 
     @property
     def entropy(self) -> torch.Tensor:
-        """[n], entropy over the present actions."""
+        """Entropy over the present actions, [n]."""
         return (self._normal.entropy() * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     @property
@@ -123,11 +123,11 @@ class MaskedGaussian(GaussianDistribution):
         return (self.mean, self.std, self.mask)
 
     def log_prob(self, outputs: torch.Tensor) -> torch.Tensor:
-        """[n], of actions [n, output_dim]."""
+        """Logarithm of the probability of actions [n, output_dim], [n]."""
         return (self._normal.log_prob(outputs) * self.mask).sum(dim=-1)  # type: ignore[no-untyped-call]
 
     def kl_divergence(self, old_params: tuple[torch.Tensor, ...], new_params: tuple[torch.Tensor, ...]) -> torch.Tensor:
-        """[n], divergence over the present actions."""
+        """Divergence over the present actions, [n]."""
         (old_mean, old_std, mask), (new_mean, new_std, _) = old_params, new_params
         divergence = kl_divergence(Normal(old_mean, old_std), Normal(new_mean, new_std))
         return (divergence * mask).sum(dim=-1)

@@ -86,7 +86,7 @@ class OnnxNetwork(torch.nn.Module):
         return [torch.from_numpy(value) for value in found]
 
     def reset(self, ends: torch.Tensor | None = None) -> None:
-        """Forgets what the rows of the mask have seen, [batch]; None: all, of whatever number."""
+        """Clears the memory of the rows in the mask, [batch]; None: of all rows."""
         if ends is None:
             self._memory = {}
         for memory in self._memory.values():

@@ -72,38 +72,38 @@ class _Joints(NamedTuple):
     """The joints of a batch, one row each: the real ones, or all places where that is as cheap."""
 
     states: torch.Tensor
-    """[rows, numbers], scaled."""
+    """Scaled states of the joints, [rows, numbers]."""
     descriptions: torch.Tensor
-    """[rows, features], descriptions of the joints."""
+    """Descriptions of the joints, [rows, features]."""
     relative: torch.Tensor
-    """[rows, numbers], the part of the descriptions that compares joints of one robot."""
+    """Part of the descriptions that compares joints of one robot, [rows, numbers]."""
     present: torch.Tensor
-    """[batch, places], which of a sample's places hold a joint."""
+    """Whether a sample's places hold a joint, [batch, places]."""
     legs: torch.Tensor | None
-    """[batch, places], which of them hold a joint of a leg; None without heads of legs."""
+    """Whether they hold a joint of a leg, [batch, places]; None without heads of legs."""
     place_of_row: torch.Tensor | None
-    """[rows], place of each row in batch x places; None: rows are all places."""
+    """Place of each row in batch x places, [rows]; None: rows are all places."""
     sample_of_row: torch.Tensor | None
-    """[rows]; None: every sample has all slots."""
+    """Sample of each row, [rows]; None: every sample has all slots."""
     slot_of_row: torch.Tensor | None
-    """[rows], place of each row in batch x slots; None: places are slots."""
+    """Place of each row in batch x slots, [rows]; None: places are slots."""
 
     def at_places(self, rows: torch.Tensor) -> torch.Tensor:
-        """[rows, n] to [batch, places, n], zeros where there is no row."""
+        """Spreads rows [rows, n] over places [batch, places, n]; places without a row are zero."""
         if self.place_of_row is not None:
             places = rows.new_zeros(self.present.numel(), rows.shape[1])
             rows = places.index_copy(0, self.place_of_row, rows)
         return rows.reshape(*self.present.shape, rows.shape[1])
 
     def of_rows(self, samples: torch.Tensor) -> torch.Tensor:
-        """[batch, n] to [rows, n]."""
+        """Repeats numbers of samples [batch, n] for their rows, [rows, n]."""
         if self.sample_of_row is None:
             places = self.present.shape[1]
             return samples.unsqueeze(1).expand(-1, places, -1).flatten(0, 1)
         return samples.index_select(0, self.sample_of_row)
 
     def at_slots(self, rows: torch.Tensor, slots: int) -> torch.Tensor:
-        """[rows] to [batch, slots], exactly zero where a robot has no joint."""
+        """Spreads outputs [rows] over slots [batch, slots], zero where there is no joint."""
         batch = self.present.shape[0]
         if self.slot_of_row is None:
             return rows.reshape(self.present.shape) * self.present
@@ -111,7 +111,7 @@ class _Joints(NamedTuple):
 
 
 class JointNetwork(torch.nn.Module):
-    """From observations [batch, num_obs] to actions of joints, or to numbers about the whole body.
+    """Maps observations [batch, num_obs] to actions of joints, or to numbers about the whole body.
 
     No parameter's shape depends on the number of joints, so weights go from one body to another.
     The output of an actor is [batch, 3, slots]: mean, deviation, and 1 where there is a joint; mean
@@ -210,7 +210,7 @@ class JointNetwork(torch.nn.Module):
             self.decoder = torch.nn.Linear(width, num_outputs)
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
-        """[batch, num_obs] to [batch, 3, slots] or [batch, num_outputs]."""
+        """Maps observations [batch, num_obs] to [batch, 3, slots] or [batch, num_outputs]."""
         joints = self._joints(observations)
         description = self.describe(joints.descriptions)
         state = self.activation(self.state(joints.states) + self.state_by_description(description))
@@ -242,7 +242,7 @@ class JointNetwork(torch.nn.Module):
         return attention.masked_fill(~seen, OUTSIDE).softmax(dim=1) * seen
 
     def deviations(self, descriptions: torch.Tensor) -> torch.Tensor:
-        """[rows, features] to [rows]."""
+        """Deviations [rows] of joints with these descriptions [rows, features]."""
         # the weights are summed over the features: a step of the optimiser shall move the logarithm
         # by about its size
         weight = self.deviation.weight / self.deviation.in_features
@@ -281,12 +281,12 @@ class JointNetwork(torch.nn.Module):
         return observations.index_select(1, getattr(self, f"{name}_columns"))
 
     def mask(self, observations: torch.Tensor) -> torch.Tensor:
-        """[batch, slots], where there is a joint: its description holds more than zeros."""
+        """Whether a slot has a joint, [batch, slots]: its description holds more than zeros."""
         numbers = self._block(observations, "description").reshape(-1, self.num_descriptions, self.num_joints)
         return (numbers != 0.0).any(dim=1)
 
     def _features(self, observations: torch.Tensor) -> torch.Tensor:
-        """[batch, slots, states and numbers of descriptions], as they are observed."""
+        """States and descriptions as they are observed, [batch, slots, numbers]."""
         features = torch.cat([self._block(observations, "state"), self._block(observations, "description")], dim=1)
         return features.reshape(-1, self.num_states + self.num_descriptions, self.num_joints).transpose(1, 2)
 
@@ -333,7 +333,7 @@ class JointNetwork(torch.nn.Module):
         counted = counts.clamp(min=1).view(-1, 1, 1).to(states.dtype)
 
         def mean(of_joints: torch.Tensor) -> torch.Tensor:
-            """[batch, places, numbers] to [batch, 1, numbers]."""
+            """Means over the places, [batch, places, numbers] to [batch, 1, numbers]."""
             return (of_joints if compared is None else of_joints * compared).sum(dim=1, keepdim=True) / counted
 
         differences = (absolute - mean(absolute)) * there
@@ -455,7 +455,7 @@ class JointGaussian(MaskedGaussian):
     """A Gaussian whose means, deviations and mask are the output of a `JointNetwork`."""
 
     def __init__(self, output_dim: int, init_std: float = 1.0) -> None:
-        """For actions of `output_dim` slots."""
+        """Makes the distribution of actions of `output_dim` slots."""
         Distribution.__init__(self, output_dim)
         self.init_std = init_std
         self._distribution: Normal | None = None

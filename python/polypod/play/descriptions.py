@@ -158,7 +158,7 @@ def _parents(tree: ElementTree.Element) -> dict[str, tuple[str, Array]]:
 
 
 def _pose(link: str, parents: dict[str, tuple[str, Array]], poses: dict[str, Array]) -> Array:
-    """[4, 4], of a link in the root's frame, joints at zero."""
+    """Pose of a link in the root's frame with all joints at zero, [4, 4]."""
     chain: list[str] = []
     while link not in poses and link in parents and len(chain) <= len(parents):
         chain.append(link)
@@ -181,7 +181,7 @@ def _holder(link: str, parents: dict[str, tuple[str, Array]], own: dict[str, Arr
 
 
 def _origin(element: ElementTree.Element) -> Array:
-    """[4, 4], of an element's `origin`."""
+    """Pose of an element's `origin`, [4, 4]."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)

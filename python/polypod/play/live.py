@@ -19,14 +19,14 @@ from polypod.play.viewer import GROUP, NOTHING, Viewer
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Simulated seconds per second."""
 HOLD = 4.0
-"""So long all robots follow one drawn command, s."""
+"""Time for which all robots follow one drawn command, s."""
 PUSH = 1.0
 """Velocity of a push, m/s."""
 PICTURES = 30.0
 """Most frames that are shown in a second."""
 FROM_TASK, TOGETHER, OWN = "drawn by the task", "drawn, one for all robots", "my own"
 SOURCES = (FROM_TASK, TOGETHER, OWN)
-"""Where commands come from."""
+"""Sources of commands."""
 MOST_WAITING = 256
 """Actions that wait for the next control step; further ones are dropped."""
 

@@ -24,7 +24,7 @@ _ALIGNED = ("x", "y", "yaw")
 
 @dataclasses.dataclass
 class Tally:
-    """How a robot has done so far, over all its envs."""
+    """Figures of a robot so far, over all its envs."""
 
     steps: int = 0
     falls: int = 0
@@ -95,7 +95,7 @@ class Player(Scene):
         shapes = simulated.shapes(sim)
         self._com = {robot: np.array(shapes[robot]["base_com"]) for robot in sim.robots}
         self.distances = descriptions.distances(manifest, sources, str(policy.file))
-        """How far the robots that the policy was not trained on are from its training bodies."""
+        """Distances of the robots that the policy was not trained on from its training bodies."""
         self.tallies = {robot: Tally() for robot in sim.robots}
         self.policy_robots: list[str] = list(manifest["robot_sources"])
         """Names or paths of the robots that the policy was made for."""
@@ -105,7 +105,7 @@ class Player(Scene):
         self._slots: Array | None = None
         self._gone = np.zeros(2)
         self.ranges = _ranges(self.config)
-        """[3, 2], smallest and largest commands that the task draws: forward, left, m/s, and yaw
+        """Smallest and largest commands that the task draws, [3, 2]: forward, left, m/s, and yaw
         rate, rad/s."""
         self.has_velocity = "base_velocity" in self.config["commands"]
         """Whether the task gives a velocity command."""

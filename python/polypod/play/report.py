@@ -1,4 +1,4 @@
-"""How the robots did that were watched."""
+"""Report on the robots that were watched."""
 
 from polypod.play.player import Player
 from polypod.tables import Rows, console_of_output

@@ -107,13 +107,13 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where this machine sees the page."""
+        """Address of the page on this machine."""
         host = self._server.get_host()
         return _url("localhost" if host in _ANY else host, self._server.get_port())
 
     @property
     def public_url(self) -> str | None:
-        """Where other machines see the page; None: nowhere."""
+        """Address of the page for other machines; None: they do not see it."""
         if not self.gate.is_public:
             return None
         host = self._server.get_host()
@@ -268,7 +268,7 @@ class Viewer:
         return [*looks.of_shapes(outline, color)]
 
     def _hits(self, scan: npt.NDArray[np.float32] | None, index: int) -> npt.NDArray[np.float32] | None:
-        """Where a robot's height scanner sees the ground, as the robot is drawn."""
+        """Points of the ground that a robot's height scanner sees, as the robot is drawn."""
         if scan is None:
             return None
         return scan[index] if self.player.shared else scan[index] + self._shown.robots[index].place.astype(np.float32)

@@ -15,9 +15,9 @@ import numpy.typing as npt
 from polypod._core import ConfigError
 
 Mirror = Literal["scalar", "vector", "pseudovector", "planar_velocity", "per_joint", "per_foot"]
-"""How numbers change in a mirror: see `observation`."""
+"""Change of numbers in a mirror: see `observation`."""
 Mode = Literal["startup", "reset", "interval"]
-"""When an event happens: see `event`."""
+"""Occasion of an event: see `event`."""
 MIRRORS = ("scalar", "vector", "pseudovector", "planar_velocity", "per_joint", "per_foot")
 MODES = ("startup", "reset", "interval")
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -168,7 +168,7 @@ class Terms:
     """All terms of a task that are written in Python, each kind in the order of declaration."""
 
     source: str = ""
-    """Where they come from; errors begin with it."""
+    """Origin of the declarations; errors begin with it."""
     path: Path | None = None
     """File that declares the terms, if one does."""
     sha256: str = ""

@@ -109,7 +109,7 @@ class TermEnv(State):
         return self._ids.get(robot, np.empty(0, dtype=np.int64))
 
     def episode_reward(self, term: str) -> npt.NDArray[np.float64]:
-        """[num_envs], sum of a weighted reward term in the episode so far.
+        """Sum of a weighted reward term in the episode so far, [num_envs].
 
         Raises UnknownNameError where no robot has the term.
         """

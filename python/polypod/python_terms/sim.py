@@ -114,40 +114,40 @@ class TermSim(_core.VecSim):
 
     @property
     def observation(self) -> FloatArray:
-        """[num_envs, num_obs], a copy."""
+        """A copy of the observations, [num_envs, num_obs]."""
         return self.observation_of(POLICY)
 
     def observation_of(self, group: str) -> FloatArray:
-        """[num_envs, n], a copy."""
+        """A copy of an observation group, [num_envs, n]."""
         return np.array(super().observation_of(group))
 
     @property
     def reward(self) -> FloatArray:
-        """[num_envs], rewards of the last step, those of the terms included."""
+        """Rewards of the last step, those of the terms included, [num_envs]."""
         return self._reward
 
     @property
     def terminated(self) -> BoolArray:
-        """[num_envs], whether each episode has failed in the last step."""
+        """Whether each episode has failed in the last step, [num_envs]."""
         return self._terminated
 
     @property
     def truncated(self) -> BoolArray:
-        """[num_envs], whether each episode has run out of time in the last step."""
+        """Whether each episode has run out of time in the last step, [num_envs]."""
         return self._truncated
 
     @property
     def final_obs(self) -> FloatArray:
-        """[num_envs, num_obs]; rows where `final_mask` is set are valid."""
+        """Last observations of ended episodes, [num_envs, num_obs], see `final_mask`."""
         return self.final_obs_of(POLICY)
 
     def final_obs_of(self, group: str) -> FloatArray:
-        """[num_envs, n]; rows where `final_mask` is set are valid."""
+        """Last observations of a group, [num_envs, n]; valid in the rows of `final_mask`."""
         return self._final[group] if group in self._final else super().final_obs_of(group)
 
     @property
     def final_mask(self) -> BoolArray:
-        """[num_envs], rows of `final_obs` that are valid."""
+        """Whether rows of `final_obs` are valid, [num_envs]."""
         return self._final_mask
 
     # -- stepping ----------------------------------------------------------------------------------
@@ -369,7 +369,7 @@ class TermSim(_core.VecSim):
         super().observe_external(np.ascontiguousarray(np.concatenate(parts, axis=1)), mask)
 
     def _value(self, term: Shown, width: int) -> FloatArray:
-        """[num_envs, width], the columns of a term."""
+        """The columns of a term, [num_envs, width]."""
         if isinstance(term, Command):
             return self._checks_of_command(term)
         value = self._call(term.name, term.function, self._env)

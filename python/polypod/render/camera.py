@@ -1,4 +1,4 @@
-"""Where a picture is taken from, and where things are in it."""
+"""Place of a picture's camera, and places of things in the picture."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ NEAR = 0.1
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from."""
+    """Place from which a picture is taken."""
 
     position: tuple[float, float, float]
     """Position of the camera, m."""
@@ -23,7 +23,7 @@ class Camera:
     """Angle from the upper to the lower edge, degrees."""
 
     def view(self) -> Array:
-        """[3, 3], rows are the camera's right, down and forward axes in the world."""
+        """Axes of the camera in the world, [3, 3]: rows are right, down and forward."""
         forward = np.subtract(self.target, self.position)
         forward = forward / np.linalg.norm(forward)
         right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -49,7 +49,7 @@ class Lens:
         return seen[..., :2] * scale[..., None] + 0.5 * np.array(self.pixels), depth
 
     def rays(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> npt.NDArray[np.float32]:
-        """[n, 3], from the camera through the middles of pixels; camera axes, at depth one."""
+        """Vectors through the middles of pixels at depth one, camera axes, [n, 3]."""
         rays = np.ones((len(rows), 3), dtype=np.float32)
         rays[:, 0] = (columns + (0.5 - 0.5 * self.pixels[0])) / self.focal
         rays[:, 1] = (rows + (0.5 - 0.5 * self.pixels[1])) / self.focal

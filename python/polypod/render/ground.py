@@ -22,9 +22,9 @@ class Ground:
     def __init__(self, entry: "_core.TerrainEntry") -> None:
         """Reads an entry of `VecSim.terrain`."""
         self.vertices: npt.NDArray[np.float32] = entry["vertices"]
-        """[n, 3], corners of the triangles, m."""
+        """Corners of the triangles, m, [n, 3]."""
         self.triangles: npt.NDArray[np.uint32] = entry["triangles"]
-        """[m, 3], indices into the vertices."""
+        """Triangles as indices into the vertices, [m, 3]."""
         self._heights = entry["heights"]
         self._origin, self._cell = np.array(entry["origin"], dtype=np.float64), float(entry["cell"])
         low, high = float(self.vertices[:, 2].min()), float(self.vertices[:, 2].max())
@@ -34,7 +34,7 @@ class Ground:
         self._faces: tuple[npt.NDArray[np.float32], ...] | None = None
 
     def heights(self, places: Array) -> Array:
-        """[...], below places [..., 2], m: what the articulated engine stands on."""
+        """Heights of the articulated engine's ground below places [..., 2], m, [...]."""
         cells = (np.asarray(places, dtype=np.float64) - self._origin) / self._cell
         size = np.array(self._heights.shape)
         cells = np.clip(cells, 0.0, size - 1.000001)
@@ -48,7 +48,7 @@ class Ground:
         return np.where(u >= v, a + u * (b - a) + v * (c - b), a + v * (d - a) + u * (c - d))
 
     def colors(self, heights: npt.ArrayLike) -> Array:
-        """[..., 3] of heights [...], m; from 0 to 255."""
+        """Colours of heights [...], m, from 0 to 255, [..., 3]."""
         share = 0.5 + 0.5 * np.asarray(heights, dtype=np.float64) / self._range
         channels = [np.interp(share, [0.0, 0.5, 1.0], COLORS[:, channel]) for channel in range(3)]
         return np.stack(channels, axis=-1)

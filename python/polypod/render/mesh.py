@@ -25,16 +25,17 @@ class Mesh:
     """Convex outward polygons of three or four corners."""
 
     vertices: Array
-    """[n, 3], corners of the faces, m."""
+    """Corners of the faces, m, [n, 3]."""
     faces: npt.NDArray[np.intp]
-    """[m, 4], indices counter-clockwise from outside; a triangle repeats its last corner."""
+    """Faces as indices counter-clockwise from outside, [m, 4]; a triangle repeats its last
+    corner."""
 
     def moved(self, position: npt.ArrayLike, quaternion: npt.ArrayLike) -> "Mesh":
         """The same in the parent frame of a pose: m, and (w, x, y, z)."""
         return Mesh(self.vertices @ rotations.matrix(quaternion).T + np.asarray(position, dtype=np.float64), self.faces)
 
     def triangles(self) -> npt.NDArray[np.uint32]:
-        """[k, 3], the same faces as triangles."""
+        """The same faces as triangles, [k, 3]."""
         a, b, c, d = self.faces.T
         both = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)[c != d]])
         return both.astype(np.uint32)

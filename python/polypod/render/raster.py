@@ -41,7 +41,7 @@ COLORS: dict[str, Color] = {
 }
 """Colours of a robot's bodies, by group; `color_of` has the others."""
 LIGHT = np.array([0.35, 0.45, 0.82])
-"""Where light comes from; of unit length."""
+"""Direction of the light, of unit length."""
 SUPERSAMPLING = 2
 TITLE = 15
 """Height of a title's letters, pixels."""
@@ -50,9 +50,9 @@ TILE = 1.0
 TILES_SHOWN = 22
 """Number of tiles in each direction from the middle of the picture."""
 CLOSE_UP = 3.1
-"""Seen around a robot that is followed on terrain, in lengths of its reach."""
+"""Extent of the picture of a robot that is followed on terrain, in lengths of its reach."""
 CLOSE_UP_FROM = (0.67, 0.74, 0.50)
-"""Where it is seen from; 0.5 is the least rise over the distance."""
+"""Direction from which it is seen; 0.5 is the least rise over the distance."""
 FORCE_LENGTH = 0.35
 """Length of the arrow of a force that equals the robot's weight, m."""
 
@@ -345,6 +345,6 @@ def _draw_ground(canvas: _Canvas, camera: Camera) -> None:
 
 
 def _heading(quaternion: Sequence[float] | npt.NDArray[np.float64]) -> Array:
-    """[2, 2], turns the base's forward and left into the world's x and y."""
+    """Matrix that turns the base's forward and left into the world's x and y, [2, 2]."""
     angle = rotations.heading(quaternion)
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -13,10 +13,10 @@ from polypod.render.ground import LARGEST_FACE, Ground
 from polypod.render.mesh import Mesh, lit
 
 RADIUS = 9.0
-"""Ground is drawn so far around the middle of the picture, m; it fades from two thirds of that
-on."""
+"""Radius around the middle of the picture within which ground is drawn, m; it fades from two thirds
+of it on."""
 SHADOW_RADIUS = 1.6
-"""Around the middle of a robot, m; no shadow is looked for beyond."""
+"""Radius around the middle of a robot within which it casts a shadow, m."""
 SHADOW_PIXEL = 0.008
 """Size of a pixel of the shadows, m."""
 SHADED = 0.68
@@ -24,7 +24,7 @@ SHADED = 0.68
 CHECKED = 0.965
 """Brightness of every other square metre."""
 IN_FRONT = 0.012
-"""So far may a solid lie behind the ground that touches it and be seen, m."""
+"""Distance at which a solid may lie behind the ground that touches it and be seen, m."""
 
 
 class _Layer:
@@ -43,7 +43,7 @@ class _Layer:
         normals = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
         middles = points.mean(axis=1)
         self.middles = np.concatenate([np.full((1, 3), 1e9), middles @ lens.view + lens.origin])
-        """[n + 1, 3], of the faces in the world, m."""
+        """Middles of the faces in the world, m, [n + 1, 3]."""
         # one over the depth is linear in the pixel
         reach = np.einsum("ij,ij->i", normals, middles)
         self._planes = np.concatenate(
@@ -57,11 +57,10 @@ class _Layer:
         for number, outline in zip((order + 1).tolist(), pixels[order].reshape(-1, 8).tolist(), strict=True):
             pen.polygon(outline, fill=number)
         self.faces: npt.NDArray[np.int32] = np.asarray(canvas)
-        """[height, width], one more than the number of the face that is seen; zero where there is
-        none."""
+        """Number of the face that is seen plus one, [height, width]; zero where there is none."""
 
     def depths(self, rows: Any, columns: Any, rays: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """[n], of pixels and their rays, m; very far where there is no face."""
+        """Depths of pixels along their rays, m, [n]; very far where there is no face."""
         inverse = np.einsum("ij,ij->i", self._planes[self.faces[rows, columns]], rays)
         return np.float32(1.0) / np.maximum(inverse, np.float32(1e-6))
 
@@ -75,7 +74,7 @@ def picture(
     light: Array,
     sky: tuple[int, int, int],
 ) -> npt.NDArray[np.uint8]:
-    """[height, width, 3], the ground and the solids on it.
+    """Picture of the ground and the solids on it, [height, width, 3].
 
     Args:
         lens: the camera.

@@ -51,23 +51,23 @@ class RobotFrame:
     place: Array
     """Position of the env's origin, m."""
     position: Array
-    """[links, 3], of the links, m."""
+    """Positions of the links, m, [links, 3]."""
     quaternion: Array
-    """[links, 4], w, x, y, z."""
+    """Orientations of the links, w, x, y, z, [links, 4]."""
     contacts: list[Contact]
     """Forces above 1 N."""
     weight: float
     """N; on Earth, where the task has no gravity."""
     command: Array
-    """[3], commanded forward and left velocity, m/s, and yaw rate, rad/s."""
+    """Commanded forward and left velocity, m/s, and yaw rate, rad/s, [3]."""
     velocity: Array
-    """[3], the same as they are, of the base's centre of mass."""
+    """Actual velocities of the base's centre of mass in the same order, [3]."""
     tile: str = ""
     """Type and level of its tile; empty without generated terrain."""
 
     @property
     def forces(self) -> list[tuple[Array, Array]]:
-        """Where contacts act, m, and with what force, N."""
+        """Points of contact, m, with their forces, N."""
         return [(contact.point, contact.force) for contact in self.contacts]
 
 
@@ -93,7 +93,7 @@ class Scene:
         """
         self.sim = sim
         self.time = 0.0
-        """Since the scene was made, s; whoever steps the simulator counts it."""
+        """Time since the scene was made, s; the caller that steps the simulator counts it."""
         config = self.config = simulated.config(sim)["task"]
         """The task's part of `VecSim.resolved_config`."""
         self.obstacles: list[Mesh] = [
@@ -125,8 +125,8 @@ class Scene:
         """Whether each env has a separate flat world, so that it can be drawn at any place."""
         self._spacing = spacing
         self.places = self.formation(sim.num_envs)
-        """[envs, 3], of the envs' origins, m, in a row across the direction of the walk; their
-        heights are zero."""
+        """Places of the envs' origins, m, [envs, 3], in a row across the direction of the walk;
+        their heights are zero."""
 
     def formation(self, columns: int) -> Array:
         """Places in rows of `columns` envs, [envs, 3], m: rows across x, in the envs' order."""
@@ -194,7 +194,7 @@ class Scene:
 
 
 def _reach(position: Array) -> float:
-    """[envs, links, 3] of one robot."""
+    """Largest distance of a link from the base, m, for positions [envs, links, 3] of one robot."""
     return float(np.linalg.norm(position[0] - position[0, 0], axis=1).max())
 
 
@@ -209,7 +209,7 @@ def _parts(outline: dict[str, Any]) -> list[Part]:
 
 
 def arrow(start: Array, direction: Array, width: float) -> npt.NDArray[np.float64]:
-    """[7, 3], a flat arrow that lies level, from `start` along `direction`, m."""
+    """Corners of a flat arrow that lies level, m, [7, 3], from `start` along `direction`."""
     length = float(np.linalg.norm(direction[:2]))
     along = np.array([*direction[:2], 0.0]) / max(length, 1e-9)
     across = np.array([-along[1], along[0], 0.0])

@@ -114,7 +114,7 @@ class Nominal:
     columns: npt.NDArray[np.intp]
     """Columns of the observation that describe the robot."""
     described: Floats
-    """[envs, columns], what they say."""
+    """Descriptions that the policy is shown, [envs, columns]."""
 
     @classmethod
     def of(cls, setting: Setting, num_envs: int) -> "Nominal":

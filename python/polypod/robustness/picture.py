@@ -51,7 +51,7 @@ def draw(battery: Battery, out: Path) -> None:
 
 
 def values(battery: Battery, key: str) -> npt.NDArray[np.float64]:
-    """[rows, robots], a figure of `Cell`; NaN where it was not measured."""
+    """Values of a figure of `Cell`, [rows, robots]; NaN where it was not measured."""
     return np.array(
         [
             [getattr(row.robots[name], key) if name in row.robots else math.nan for name in battery.robots]

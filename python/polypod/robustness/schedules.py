@@ -85,7 +85,7 @@ class Pushes:
     every: int
     """Control steps between two pushes."""
     velocities: npt.NDArray[np.float32]
-    """[pushes, envs, 3], velocities that the pushes add, m/s, world axes."""
+    """Velocities that the pushes add, m/s, world axes, [pushes, envs, 3]."""
 
     @classmethod
     def draw(cls, num_envs: int, steps: int, step_dt: float, seed: int) -> "Pushes":
@@ -99,13 +99,13 @@ class Pushes:
         return cls(every // 2, every, velocities)
 
     def at(self, step: int) -> npt.NDArray[np.float32] | None:
-        """[envs, 3], what is added before a control step; None for no push."""
+        """Velocities that are added before a control step, [envs, 3]; None for no push."""
         number, since = divmod(step - self.first, self.every)
         return self.velocities[number] if since == 0 and 0 <= number < len(self.velocities) else None
 
 
 def description_factors(num_envs: int, size: int, error: float, seed: int) -> npt.NDArray[np.float32]:
-    """[envs, size], factors of the numbers that describe one robot.
+    """Factors of the numbers that describe one robot, [envs, size].
 
     An env's depend on the seed and its index alone.
     """

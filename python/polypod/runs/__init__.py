@@ -5,7 +5,7 @@ from pathlib import Path
 from polypod import bundled
 
 LOGS = Path("logs")
-"""Where `polypod train` keeps its runs, unless it is told otherwise."""
+"""Folder in which `polypod train` keeps its runs by default."""
 
 
 def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:

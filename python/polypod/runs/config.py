@@ -100,7 +100,7 @@ def changed(config: TrainConfig, overrides: Sequence[str], source: str) -> Train
     """A config with overrides, as of `load`; `source` names it in errors. Raises ConfigError."""
     if not overrides:
         return config
-    # TOML keeps the numbers that JSON has not
+    # TOML keeps infinities and NaN, which JSON lacks
     tables = tomllib.loads(_core.with_overrides(json.dumps(config.as_dict()), list(overrides)))
     return parse(tables, f"{source} with --set {OVERRIDE}{f' {OVERRIDE}'.join(overrides)}"[:200])
 

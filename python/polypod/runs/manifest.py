@@ -60,7 +60,7 @@ class TermManifest(TypedDict):
 
 
 class DistributionManifest(TypedDict):
-    """How actions are drawn around the network's output."""
+    """Distribution of actions around the network's output."""
 
     class_name: Literal["GaussianDistribution", "polypod.networks:JointGaussian"]
     init_std: Annotated[float, Meta(gt=0.0, le=1e3)]

@@ -162,7 +162,7 @@ def iterations_of(checkpoint: Path) -> int:
 
 
 def checkpoint_path(run: Path, iterations: int) -> Path:
-    """Where the checkpoint after `iterations` iterations lies."""
+    """Path of the checkpoint after `iterations` iterations."""
     return run / f"model_{iterations}.pt"
 
 

@@ -178,7 +178,7 @@ class ActorConfig(CriticConfig):
     """Standard deviation of the actions at the beginning."""
 
     def model_cfg(self, sim: _core.VecSim | None, groups: Sequence[str] = (OBSERVATION_GROUP,)) -> dict[str, Any]:
-        """As of the critic, with the distribution."""
+        """The network's configuration with that of the distribution."""
         network = super().model_cfg(sim, groups)
         distribution = {"class_name": "GaussianDistribution", "init_std": network.pop("init_std")}
         if self.class_name == URMA:
@@ -243,8 +243,8 @@ class DistillationConfig:
     """A model_<n>.pt next to its manifest.json, or a bundled policy: flat, rough, legged or
     quadruped."""
     teachers: dict[str, str] | None = None
-    """In the place of `teacher`: the same by robot, `OTHERS` for all others. Teachers may have been
-    trained on other robots, slots and terms than the student sees."""
+    """Teachers by robot, in the place of `teacher`; `OTHERS` is the one of all others. Teachers may
+    have been trained on other robots, slots and terms than the student sees."""
     teacher_share: float = 0.0
     """Share of each robot's envs in which its teacher acts in the first iteration, with
     `teachers`."""

@@ -196,7 +196,7 @@ class Beginning:
 
 
 def physics_of(task: dict[str, Any], options: Options, dt: float) -> Physics:
-    """How MuJoCo steps in a task, by `dt` where the options name no step."""
+    """Steps of MuJoCo in a task, by `dt` where the options name no step."""
     friction = _combined_friction(task) if options.friction is None else options.friction
     return Physics(options.dt or dt, options.integrator, friction, options.soft_contact, **_spin_friction(task))
 

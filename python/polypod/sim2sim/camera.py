@@ -63,7 +63,7 @@ class DepthCamera:
         return DepthCamera(sensor, mount, heights, step_dt, num_envs) if sensor and mount else None
 
     def images(self) -> Array:
-        """[envs, pixels], distances that the policy is shown, m."""
+        """Distances that the policy is shown, m, [envs, pixels]."""
         return self._shown.copy()
 
     def begin(self, env: int, position: Array, axes: Array) -> None:
@@ -83,7 +83,7 @@ class DepthCamera:
             self._shown[env] = frame
 
     def render(self, position: Array, axes: Array) -> Array:
-        """[pixels], distances from a camera on a link that is there, m."""
+        """Distances from a camera with this place and these axes, m, [pixels]."""
         eye, turned = position + axes @ self._place, self._units @ (axes @ self._axes).T
         found = self._ground.rays(eye, turned, self._reach + 1.0)
         seen = np.where(found < 0.0, np.inf, found)
@@ -114,7 +114,7 @@ class _Window:
         self._mj.mj_forward(self._model, self._data)
 
     def rays(self, eye: Array, units: Array, cutoff: float) -> Array:
-        """[rays], distances along unit vectors from a place, m; negative where there is nothing."""
+        """Distances along unit vectors from a place, m, [rays]; negative where there is nothing."""
         if self._heights is not None:
             eye = eye - self._fill(eye, self._heights)
         count = len(units)
@@ -152,7 +152,7 @@ class _Window:
 
 
 def _directions(pattern: Mapping[str, Any]) -> Array:
-    """[pixels, 3] in the camera's axes, 1 along its own, rows from top to bottom."""
+    """Directions of pixels from top to bottom, camera axes, 1 along its own, [pixels, 3]."""
     width, height = pattern["width"], pattern["height"]
     across = np.tan(0.5 * pattern["horizontal_fov"])
     angle = pattern.get("vertical_fov")

@@ -18,20 +18,20 @@ class Commands:
     """Commands of the envs, as the task samples them, with its heading controller."""
 
     linear: Array
-    """[draws, envs, 2], forward and left velocity, m/s."""
+    """Forward and left velocity, m/s, [draws, envs, 2]."""
     heading: Array
-    """[draws, envs], to turn to, rad."""
+    """Heading to turn to, rad, [draws, envs]."""
     turning: Array
-    """[draws, envs], yaw rate where no heading is held, rad/s."""
+    """Yaw rate where no heading is held, rad/s, [draws, envs]."""
     holds_heading: npt.NDArray[np.bool_]
-    """[draws, envs], whether the yaw rate follows the heading."""
+    """Whether the yaw rate follows the heading, [draws, envs]."""
     standing: npt.NDArray[np.bool_]
-    """[draws, envs], whether the robot shall stand still."""
+    """Whether the robot shall stand still, [draws, envs]."""
     steps_per_draw: int
     stiffness: float
     """Yaw rate per heading error, 1/s."""
     turn_range: Array
-    """[2, envs], least and greatest yaw rate of the heading controller, rad/s."""
+    """Least and greatest yaw rate of the heading controller, rad/s, [2, envs]."""
 
     @classmethod
     def draw(
@@ -93,7 +93,7 @@ class Commands:
         )
 
     def at(self, step: int, heading: Array) -> npt.NDArray[np.float32]:
-        """[envs, 3], the commanded velocity in a control step; `heading` [envs] is in rad."""
+        """Commanded velocity in a control step, [envs, 3]; `heading` [envs] is in rad."""
         draw = step // self.steps_per_draw
         error = (self.heading[draw] - heading + np.pi) % (2.0 * np.pi) - np.pi
         turning = np.where(

@@ -68,11 +68,11 @@ class Response:
     """The motion of one robot."""
 
     base: Array
-    """[steps, 3], positions of the base, m."""
+    """Positions of the base, m, [steps, 3]."""
     heading: Array
-    """[steps], headings of the base, rad."""
+    """Headings of the base, rad, [steps]."""
     joints: Array
-    """[steps, joints], joint positions, rad."""
+    """Joint positions, rad, [steps, joints]."""
     falls: bool
 
 

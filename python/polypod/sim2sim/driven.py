@@ -53,11 +53,11 @@ class Observed:
     """Motion and falls of one control step, per env."""
 
     velocity: Array
-    """[envs, 2], of the base's centre of mass, base axes, m/s."""
+    """Velocity of the base's centre of mass, base axes, m/s, [envs, 2]."""
     yaw_rate: Array
-    """[envs], yaw rate of the base, rad/s."""
+    """Yaw rate of the base, rad/s, [envs]."""
     fell: npt.NDArray[np.bool_]
-    """[envs], in this control step."""
+    """Whether robots fell in this control step, [envs]."""
 
 
 class Body(Protocol):
@@ -86,14 +86,14 @@ class Drive:
     physics_dt: float
     """The physics step that delays are counted in, s."""
     delays: Array
-    """[envs, joints], of the targets, in physics steps."""
+    """Delays of the targets, physics steps, [envs, joints]."""
     network_torques: NetworkTorques | None = None
     """Torques of the robot's actuator networks, one physics step of `physics_dt` after the
     other."""
     heights: Heights | None = None
     """Heights of the ground; None: a plane."""
     places: Array | None = None
-    """[envs, 3], of the envs' origins on it, m; None: the world's origin."""
+    """Places of the envs' origins on it, m, [envs, 3]; None: the world's origin."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
     """Gravity, m/s^2, world axes."""
     least_height: float = -np.inf
@@ -145,7 +145,8 @@ class Driven:
         """Positions in polypod's order of joints, about the envs' origins."""
         self.qvel = np.zeros((self.num_envs, 6 + robot.num_joints))
         self.base_axes: Array = np.eye(3)
-        """[3, 3], turns vectors of polypod's base frame into that of the model's base."""
+        """Matrix that turns vectors of polypod's base frame into that of the model's base, [3,
+        3]."""
 
     def reset(self, qpos: Array, qvel: Array) -> None:
         """Begins in these states, [envs, nq] and [envs, nv]."""
@@ -220,11 +221,11 @@ class Driven:
         }
 
     def projected_gravity(self) -> Array:
-        """[envs, 3], unit vector of gravity, base axes; zeros without gravity."""
+        """Unit vector of gravity, base axes, [envs, 3]; zeros without gravity."""
         return np.einsum("eji,j->ei", rotations.matrix(self.qpos[:, 3:7]), self._down)
 
     def base_height(self) -> Array:
-        """[envs], of the base's origin above the ground below it, m.
+        """Heights of the base's origin above the ground below it, m, [envs].
 
         Where the task has a height scanner: above the mean of the ground below its rays, as
         `State.base_height`.
@@ -236,7 +237,7 @@ class Driven:
         return at[:, 2] - ground
 
     def height_scan(self) -> Array:
-        """[envs, rays], height of the base's origin above the scanned points of the ground, m."""
+        """Height of the base's origin above the scanned points of the ground, m, [envs, rays]."""
         heading = rotations.heading(self.qpos[:, 3:7])
         (cos, sin), points = (np.cos(heading)[:, None], np.sin(heading)[:, None]), self.interface.scan_points
         x, y = cos * points[:, 0] - sin * points[:, 1], sin * points[:, 0] + cos * points[:, 1]
@@ -251,7 +252,7 @@ class Driven:
         return velocity, self.qvel[:, 3:6]
 
     def joint_effort(self) -> Array:
-        """[envs, joints], of the actuators in the last physics step, N m; 0 after a reset."""
+        """Actuators' efforts in the last physics step, N m, [envs, joints]; 0 after a reset."""
         if self._fresh:
             return np.zeros((self.num_envs, self.robot.num_joints))
         joints = self.reference.v[6:]

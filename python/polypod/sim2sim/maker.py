@@ -51,7 +51,7 @@ _LEVEL = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """How a model is played."""
+    """Choices of actuators and contacts with which a model is played."""
 
     actuators: Actuation = "model"
     """`model`: its own; `policy`: the policy's gains, limits and delays; `motors`: with the rotors'
@@ -114,7 +114,7 @@ class Model:
         self._complete(first, root, [int(joint) for joint in paired], locked)
         model = self.model = self._compiled()
         self.joints = np.array(paired, dtype=np.intp)
-        """[joints], numbers of the joints, in polypod's order."""
+        """Numbers of the joints, in polypod's order, [joints]."""
         root = model.body(self.root).id
         self.skeleton: Skeleton = skeleton(model, root, self.joints.tolist(), locked)
         self.map = mapping.compared(self.map, self.ours, ours.model, self.skeleton, model, root, locked)
@@ -123,7 +123,7 @@ class Model:
         self.q = np.array([*range(q, q + 7), *model.jnt_qposadr[self.joints]], dtype=np.intp)
         self.v = np.array([*range(v, v + 6), *model.jnt_dofadr[self.joints]], dtype=np.intp)
         self.is_static = model.body_weldid[model.geom_bodyid] == 0
-        """[geoms], whether they belong to the world."""
+        """Whether geoms belong to the world, [geoms]."""
         self._set_options()
         self._set_actuators()
         self._set_contacts()
@@ -342,9 +342,9 @@ class Model:
             model.actuator_biasprm[actuator] = 0.0
         added = iter(range(self._first_added, model.nu))
         self.actuators = np.array([next(added) if own is None else own for own in self._own], dtype=np.intp)
-        """[joints], the actuator that follows the targets of each joint."""
+        """Actuator that follows the targets of each joint, [joints]."""
         self.is_policys = np.array([own is None for own in self._own])
-        """[joints], whether that is one of the policy."""
+        """Whether that actuator is one of the policy, [joints]."""
         self.gears = model.actuator_gear[self.actuators, 0].copy()
         policys = self.joints[self.is_policys]
         model.jnt_actfrclimited[policys] = 0
@@ -374,7 +374,7 @@ class Model:
                 model.actuator_forcerange[own] = [low, high]
 
     def effort_ranges(self) -> Array:
-        """[joints, 2], least and most force of the model's own actuators.
+        """Least and most force of the model's own actuators, [joints, 2].
 
         Infinite without limits.
         """
@@ -446,7 +446,7 @@ class Model:
         return str(self._mj.mjtIntegrator(int(self.model.opt.integrator)).name).removeprefix("mjINT_")
 
     def base_geoms(self, clusters: Sequence[int]) -> npt.NDArray[np.bool_]:
-        """[geoms], which belong to these clusters and touch."""
+        """Whether geoms belong to these clusters and touch, [geoms]."""
         model = self.model
         of = self.skeleton.clusters[model.geom_bodyid]
         touch = (model.geom_contype | model.geom_conaffinity) != 0
@@ -561,10 +561,10 @@ class Maker(Driven):
         self._policys = model.actuators[model.is_policys]
         self._force = [data.actuator_force for data in self._data]
         self.saturated = np.zeros((self.num_envs, model.robot.num_joints))
-        """[envs, joints], physics steps in which the actuator was at its limit, since this was set
-        to zero."""
+        """Physics steps in which the actuator was at its limit, since this was set to zero, [envs,
+        joints]."""
         self.watched = np.zeros(self.num_envs)
-        """[envs], physics steps since then."""
+        """Physics steps since `saturated` was set to zero, [envs]."""
 
     def _inputs(self, targets: Array, ranges: Array) -> tuple[Array, Array]:
         efforts = np.sort(self._signs[:, None] * ranges, axis=2)[:, self.reference.is_policys]

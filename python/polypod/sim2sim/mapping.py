@@ -88,9 +88,9 @@ class JointMap:
 
     pairs: tuple[Pair, ...]
     turn: Array
-    """[3, 3], turns vectors of the model's base frame into polypod's."""
+    """Matrix that turns vectors of the model's base frame into polypod's, [3, 3]."""
     shift: Array
-    """[3], polypod's position of the model's base frame, m: p = turn @ p' + shift."""
+    """Polypod's position of the model's base frame, m, [3]: p = turn @ p' + shift."""
     frame_how: str
     """`equal`, `geometry` or `map`."""
     cost: float = 0.0
@@ -103,12 +103,12 @@ class JointMap:
 
     @property
     def signs(self) -> Array:
-        """[joints], sign of each joint in the model."""
+        """Sign of each joint in the model, [joints]."""
         return np.array([pair.sign for pair in self.pairs])
 
     @property
     def offsets(self) -> Array:
-        """[joints], offset of each joint in the model, rad or m."""
+        """Offset of each joint in the model, rad or m, [joints]."""
         return np.array([pair.offset for pair in self.pairs])
 
 
@@ -668,7 +668,7 @@ def quaternion_of(turn: Array) -> Array:
 
 
 def times(a: Array, b: Array) -> Array:
-    """[4], the product of two quaternions."""
+    """Product of two quaternions, [4]."""
     product = np.zeros(4)
     mujoco().mju_mulQuat(product, np.ascontiguousarray(a), np.ascontiguousarray(b))
     return product

@@ -36,7 +36,7 @@ def show(comparison: ModelComparison) -> None:
 
 
 def base_line(comparison: ModelComparison) -> str:
-    """How the base's frame lies in polypod's."""
+    """Says how the base's frame lies in polypod's."""
     if comparison.base_frame == "equal":
         return f"base: {comparison.base}, the same frame"
     rows = "; ".join(" ".join(f"{number:.3g}" for number in row) for row in comparison.base_turn)

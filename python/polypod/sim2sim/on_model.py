@@ -49,7 +49,7 @@ class Options:
     phase_s: float = 5.0
     """Length of a phase, s."""
     rounds: int = 1
-    """How often the phases come in an episode."""
+    """Number of times that the phases come in an episode."""
     seed: int = 0
     actuators: Actuation = "model"
     contact: Contacts = "asis"

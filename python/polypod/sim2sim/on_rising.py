@@ -29,7 +29,7 @@ from polypod.sim2sim.twin import Twin
 
 @dataclasses.dataclass(frozen=True)
 class BothRising:
-    """How well one robot gets up in both simulators."""
+    """Figures of one robot that gets up in both simulators."""
 
     polypod: Rising
     mujoco: Rising

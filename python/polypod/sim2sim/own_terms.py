@@ -119,7 +119,7 @@ class _State:
         }
 
     def valid(self) -> npt.NDArray[np.bool_]:
-        """[envs of the robot], whether MuJoCo's state is finite."""
+        """Whether MuJoCo's state is finite, [envs of the robot]."""
         assert self.driven is not None
         state = np.concatenate([self.driven.qpos, self.driven.qvel], axis=1)
         valid: npt.NDArray[np.bool_] = np.isfinite(state).all(axis=1)

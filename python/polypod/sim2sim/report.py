@@ -72,7 +72,7 @@ def show_rising(comparison: RisingComparison) -> None:
 
 
 def _stepped(version: str, physics: Physics) -> str:
-    """How MuJoCo steps."""
+    """Says how MuJoCo steps."""
     soft = ", soft contact" if physics.soft_contact else ""
     return f"MuJoCo {version}, {physics.integrator} at {1e3 * physics.dt:g} ms, friction {physics.friction:g}{soft}"
 

@@ -92,7 +92,7 @@ class Comparison(Compared[RobotComparison]):
     """All robots that walk, and what they were measured on."""
 
     distances: dict[str, descriptions.Distance] = dataclasses.field(default_factory=dict)
-    """How far the robots that the policy was not trained on are from its training bodies."""
+    """Distances of the robots that the policy was not trained on from its training bodies."""
 
     def judged(self, robot: RobotComparison) -> dict[str, Any]:
         """Whether a robot walks in MuJoCo, and why not, for JSON."""

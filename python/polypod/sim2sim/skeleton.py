@@ -24,26 +24,26 @@ class Skeleton:
 
     names: tuple[str, ...]
     ids: npt.NDArray[np.intp]
-    """[joints], MuJoCo's numbers of the joints."""
+    """MuJoCo's numbers of the joints, [joints]."""
     parents: tuple[int, ...]
     """Index of the next joint towards the base, or `BASE`."""
     slides: npt.NDArray[np.bool_]
-    """[joints], whether they are prismatic."""
+    """Whether joints are prismatic, [joints]."""
     anchors: Array
-    """[joints, 3], a point of each axis, m."""
+    """A point of each axis, m, [joints, 3]."""
     axes: Array
-    """[joints, 3], of unit length."""
+    """Axes of unit length, [joints, 3]."""
     ranges: Array
-    """[joints, 2], rad or m; infinite without limits."""
+    """Position limits, rad or m, [joints, 2]; infinite without limits."""
     masses: Array
-    """[joints + 1], of the clusters, kg; the base's is the last one, so that `BASE` is its
+    """Masses of the clusters, kg, [joints + 1]; the base's is the last one, so that `BASE` is its
     index."""
     centers: Array
-    """[joints + 1, 3], centres of mass of the clusters, m; the joint's anchor where there is no
+    """Centres of mass of the clusters, m, [joints + 1, 3]; the joint's anchor where there is no
     mass."""
     clusters: npt.NDArray[np.intp]
-    """[bodies of the model], the cluster of each body: the index of a joint, `BASE`, or less for
-    what is no part."""
+    """Cluster of each body, [bodies of the model]: the index of a joint, `BASE`, or less for a body
+    of no part."""
 
     @property
     def size(self) -> float:

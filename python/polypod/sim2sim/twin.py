@@ -26,7 +26,7 @@ __all__ = ["Drive", "Driven", "FoldedPolicy", "Observed", "Physics", "Twin"]
 
 @dataclasses.dataclass(frozen=True)
 class Physics:
-    """How MuJoCo steps."""
+    """Step, integrator and contacts of MuJoCo."""
 
     dt: float = 0.005
     """Physics step, s."""

@@ -23,7 +23,7 @@ class Exchange:
         self.widths = {name: tensor.shape[1] for name, tensor in observed.items() if name != ACTION_MASK}
         """Numbers of each observation group."""
         self.inputs = {name: torch.zeros((env.num_envs, width), device=device) for name, width in self.widths.items()}
-        """[envs, n] by observation group, on the device."""
+        """Inputs by observation group, [envs, n], on the device."""
         self.observed = TensorDict({**observed, **self.inputs}, batch_size=[env.num_envs], device=device)
         """`inputs`, with the mask of actions where there is one."""
         self.drawn = torch.zeros((env.num_envs, env.num_actions), device=device)
@@ -31,7 +31,7 @@ class Exchange:
         self._actions = torch.zeros(self.drawn.shape, pin_memory=is_cuda)
         names = ("rewards", "dones", "time_outs")
         self.told = {name: torch.zeros((steps, env.num_envs), pin_memory=is_cuda) for name in names}
-        """[steps, envs], on the host."""
+        """Numbers of a rollout that the host is told, [steps, envs], on the host."""
 
     def observe(self) -> None:
         """Copies the present observations to the device."""

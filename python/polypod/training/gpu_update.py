@@ -48,21 +48,21 @@ class Samples:
             device: of the learner.
         """
         self.observations = {name: torch.zeros((count, width), device=device) for name, width in groups.items()}
-        """[samples, n] by observation group."""
+        """Observations by group, [samples, n]."""
         widths = {"actions": num_actions, "means": num_actions}
         single = {"log_probs": 1, "values": 1, "returns": 1, "advantages": 1}
         self.numbers = {name: torch.zeros((count, n), device=device) for name, n in {**widths, **single}.items()}
-        """[samples, n]; also `deviations`, [samples, num_actions], where they are a network's
-        output."""
+        """Numbers of the samples, [samples, n]; also `deviations`, [samples, num_actions], where
+        they are a network's output."""
         self.order = torch.zeros(count, dtype=torch.int64, device=device)
-        """[samples], as the mini-batches take them."""
+        """Order in which the mini-batches take the samples, [samples]."""
         self.places = torch.zeros(count, dtype=torch.int64, device=device)
-        """[samples]; those with an even number begin as they are where images take turns, the
-        others as images."""
+        """Places of the samples, [samples]; those with an even number begin as they are where
+        images take turns, the others as images."""
         self.batch_sizes: list[int] = []
 
     def __getitem__(self, name: str) -> torch.Tensor:
-        """[samples, numbers], values of a quantity."""
+        """Values of a quantity, [samples, numbers]."""
         return self.numbers[name]
 
 
@@ -115,7 +115,7 @@ class Update:
         self._epoch = torch.zeros((), dtype=torch.int64, device=device)
         self._losses = torch.zeros(3, device=device)
         self._old_std = torch.zeros(sim.num_actions, device=device)
-        """Where the deviations are parameters: those that the samples were drawn with."""
+        """Deviations that the samples were drawn with, where they are parameters."""
         self._index = torch.zeros(len(samples.order), dtype=torch.int64, device=device)
         parameters = [parameter for network in self._networks for parameter in network.parameters()]
         self.optimizer = graph_adam(parameters, self._rate)
@@ -310,10 +310,7 @@ class Update:
         return ((advantages - mean) / (deviation + 1e-8)).float()
 
     def _divergence(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
-        """[2]: divergence from the policy that collected the samples, summed over true samples.
-
-        Their number.
-        """
+        """Sum of the divergence from the old policy over true samples; their number."""
         n, numbers = len(index), self._samples.numbers
         means = numbers["means"][index]
         std = numbers["deviations"][index] if "deviations" in numbers else self._old_std.expand_as(means)

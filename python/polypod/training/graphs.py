@@ -15,7 +15,7 @@ class Graphs:
     """
 
     def __init__(self, device: torch.device, changed: Callable[[], list[torch.Tensor]], is_alone: bool) -> None:
-        """Before the first step.
+        """Prepares the steps; nothing is captured before the first one.
 
         Args:
             device: where the steps compute.

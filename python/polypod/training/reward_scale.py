@@ -25,7 +25,7 @@ class RewardScale:
         workers: Workers | None = None,
         together: bool = False,
     ) -> None:
-        """Before the first reward.
+        """Prepares the scales; they are 1 before the first reward.
 
         Args:
             blocks: the env range [start, stop) of each robot.

@@ -37,7 +37,7 @@ class Rollout(Samples):
     def __init__(
         self, alg: PPO, env: VecEnv, config: TrainConfig, reward_scale: RewardScale | None, workers: Workers
     ) -> None:
-        """For the networks of `alg` in the envs of `env`.
+        """Prepares rollouts of the networks of `alg` in the envs of `env`.
 
         Args:
             alg: whose networks act and estimate; its storage is not looked at.

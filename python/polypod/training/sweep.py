@@ -105,7 +105,7 @@ class Trial:
 
     @property
     def iterations(self) -> int:
-        """How many it has when it is done."""
+        """Returns the number of iterations when it is done."""
         return self.config.run.max_iterations
 
 

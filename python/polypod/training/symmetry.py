@@ -16,7 +16,7 @@ class Mirror:
     """Mirrors observations and actions; `augment` is what rsl_rl's symmetry extension calls."""
 
     def __init__(self, env: VecEnv, device: str) -> None:
-        """For the robots and the observation of `env`.
+        """Reads the mirrors of the robots and of the observation of `env`.
 
         Raises:
             ConfigError: when the robots of the run have different mirrors.

@@ -44,7 +44,7 @@ class Number(NamedTuple):
 
     term: str
     owner: str
-    """Slot or leg that it belongs to; empty: the body."""
+    """Slot or leg that the number belongs to; empty: the body."""
     place: int
     """Place among the numbers of the term that this owner has at one control step."""
     age: int
@@ -104,7 +104,7 @@ class Teacher:
             self.network.mlp.counts = JointCounts(len(rows), int(joints.sum()), int(joints.max()))
 
     def write(self, observations: torch.Tensor, labels: torch.Tensor) -> None:
-        """Writes its actions into the rows of its envs in `labels` [num_envs, num_actions].
+        """Writes the teacher's actions to its rows of `labels`, [num_envs, num_actions].
 
         `observations` are the student's groups side by side, with a last column of zeros.
         """
@@ -254,7 +254,7 @@ class ManyTeachers(Distillation):
     last_hidden_states: tuple[Any, Any]
 
     def __init__(self, *args: Any, weights: str = "robots", **kwargs: Any) -> None:
-        """As rsl_rl's; `weights` says what counts equally, "robots" or "envs"."""
+        """Distillation as in rsl_rl; `weights` says what counts equally, "robots" or "envs"."""
         super().__init__(*args, **kwargs)
         self._by_robot = weights == "robots"
         self.teacher_share = 0.0
@@ -366,7 +366,7 @@ class ManyTeachers(Distillation):
         return self.figures(errors / count)
 
     def errors(self, observations: TensorDict, labels: torch.Tensor) -> torch.Tensor:
-        """[num_envs, num_actions], error of each action of the student."""
+        """Error of each action of the student, [num_envs, num_actions]."""
         with torch.amp.autocast(
             torch.device(self.device).type,
             dtype=torch.bfloat16,
@@ -454,7 +454,7 @@ def _numbers(sim: _core.VecSim, group: str) -> list[Number]:
 
 
 def _treatments(sim: _core.VecSim, group: str) -> dict[str, dict[str, Any]]:
-    """How a task gives the terms of a group, by name, without `OF_TRAINING`."""
+    """Treatment of the terms of a group in a task, by name, without `OF_TRAINING`."""
     task = simulated.config(sim)["task"]
     entries = task["observations"][group]
     return {entry["term"]: {key: value for key, value in entry.items() if key not in OF_TRAINING} for entry in entries}

@@ -29,9 +29,9 @@ _T = TypeVar("_T")
 _Bytes = npt.NDArray[np.uint8]
 
 TIMEOUT = timedelta(minutes=5)
-"""How long workers wait for one another. All come to the same calls within an iteration."""
+"""Time that workers wait for one another. All come to the same calls within an iteration."""
 LOST_S = 20.0
-"""How long a worker that meets a broken connection waits for signs of life of those on other hosts,
+"""Time that a worker with a broken connection waits for signs of life of those on other hosts,
 s."""
 SLOW = 1.5
 """A worker counts as slow if it takes this many times the median of all workers."""

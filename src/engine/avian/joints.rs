@@ -92,7 +92,7 @@ impl JointNumbers {
     }
 }
 
-/// Where a joint's parts are, in world axes.
+/// Places of a joint's parts, in world axes.
 #[derive(Clone, Copy, Default)]
 struct Geometry {
     /// Way from the parent's anchor to the child's, m.

@@ -88,7 +88,7 @@ struct Chunk {
 
 /// State of an env between steps.
 struct Env {
-    /// Where its origin is in the world, m. A state that is set afterwards is about it.
+    /// Origin of the env in the world, m. A state that is set afterwards is about it.
     origin: DVec3,
     /// State that was set, or that the bodies have reached since.
     state: State<f64>,
@@ -212,8 +212,8 @@ impl Worlds {
         pulls.sort_by_key(|pull| pull.body);
     }
 
-    /// How far the links' origins are from where forward kinematics of the state has them, at most,
-    /// m.
+    /// Largest distance of the links' origins from their places in the forward kinematics of the
+    /// state, m.
     pub(crate) fn drift(&self, env: usize) -> f64 {
         let (chunk, i) = self.at(env);
         let links = self.topology.num_links();

@@ -328,7 +328,7 @@ impl Engine for DeviceEngine {
     }
 }
 
-/// Where the time of the steps went.
+/// Times of the parts of the steps.
 #[derive(Default)]
 struct Times {
     steps: u32,

@@ -9,7 +9,8 @@ const TURN: usize = 12;
 const NOT_TIMED: usize = 2;
 /// Turns of each way.
 const TURNS: usize = 3;
-/// How much faster than the CPU alone a way with the device must be: the device takes memory.
+/// Least ratio of the CPU's time to that of a way with the device, for which the device is used: it
+/// takes memory.
 const LEAST_GAIN: f64 = 1.05;
 
 /// The ways' times so far.

@@ -125,7 +125,7 @@ class Contract:
     inputs: dict[str, int]
     outputs: dict[str, int]
     states: dict[str, tuple[str, tuple[int, ...]]]
-    """Memory by input: the output that is fed back, and the shape of one robot's."""
+    """Memories by input: the output that is fed back, and the shape of one robot's memory."""
     command_low: tuple[float, ...]
     command_high: tuple[float, ...]
     num_rays: int

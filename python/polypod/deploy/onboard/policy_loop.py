@@ -360,7 +360,7 @@ def open_file(path: str | os.PathLike[str]) -> tuple[Any, Contract]:
 
 
 def open_data(data: bytes, name: str) -> tuple[Any, Contract]:
-    """Like `open_file` for the bytes of a file; `name` stands for it in errors."""
+    """Opens the bytes of a file as `open_file` does; `name` stands for it in errors."""
     # onnxruntime reports its use to its maker unless this is set before it is imported
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime
