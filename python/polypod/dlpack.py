@@ -68,7 +68,7 @@ def _delete_unused(capsule: int) -> None:
 
 
 _deleter, _destructor = _DELETER(_delete), _DELETER(_delete_unused)
-"""The same as functions of C."""
+"""Both functions as functions of C."""
 
 _new = ctypes.pythonapi.PyCapsule_New
 _new.restype, _new.argtypes = ctypes.py_object, [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]

@@ -141,7 +141,7 @@ def polypod_tracks(
 
 
 def mujoco_tracks(robot: Robot, targets: Array, dt: float, integrator: Integrator, *, gravity: bool = True) -> Array:
-    """The same with MuJoCo."""
+    """Joint positions in MuJoCo, as `polypod_tracks`."""
     reference = Reference.of(
         robot, dt=dt, integrator=integrator, fixed_base=True, gravity=_acceleration(gravity), bounded=True
     )

@@ -63,7 +63,7 @@ def polypod(name: str, num_envs: int, threads: int, seed: int, engine: str = "ar
 
 
 def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int | None = None) -> Sample:
-    """The same in MuJoCo, with contacts of the feet only.
+    """Makes the sample of `mujoco.rollout`, with contacts of the feet only.
 
     Args:
         name: of the robot.
@@ -95,7 +95,7 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
 
 
 def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
-    """The same as `rollout` by `mujoco.batch`.
+    """Makes the sample of `mujoco.batch`, as `rollout` does.
 
     None where the installed MuJoCo is older than 3.17 and lacks it.
 

@@ -107,7 +107,7 @@ def table(result: Mapping[str, Any]) -> str:
 
 
 def _table_of_gpus(result: Mapping[str, Any]) -> str:
-    """The same for updates on GPUs, whose messages are not counted."""
+    """Table of updates on GPUs, whose messages are not counted."""
     rows, gpus = result["workers"], result["gpus"]
     first = next(iter(rows.values()))
     names = ", ".join(f"{gpus.count(name)} x {name}" for name in dict.fromkeys(gpus))

@@ -149,7 +149,7 @@ def drive_of_legs(rng: np.random.Generator, stiffness: tuple[float, float]) -> D
 
 
 def softer(drive: Drive, stiffness: float, effort: float) -> Drive:
-    """The same with so much less of both."""
+    """Returns a drive with these shares of stiffness and effort."""
     return dataclasses.replace(
         drive,
         stiffness=drive.stiffness * stiffness,

@@ -109,7 +109,7 @@ class Check:
         return all(played.holds for played in self.played.values())
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """Returns the figures for JSON."""
         rows = {name: {**dataclasses.asdict(of), "holds": of.holds} for name, of in self.played.items()}
         return {
             "file": self.file,

@@ -63,7 +63,7 @@ class Comparison:
     """Differences by robot and figure; `ALL` has the mean over the robots."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON: None stands for a number that is not finite."""
+        """Returns the comparison for JSON: None stands for a number that is not finite."""
         robots = {
             robot: {name: dataclasses.asdict(difference) for name, difference in figures.items()}
             for robot, figures in self.robots.items()

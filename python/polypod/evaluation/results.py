@@ -154,7 +154,7 @@ class Evaluation:
     latter two."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON: None stands for a number that is not finite."""
+        """Returns the figures for JSON: None stands for a number that is not finite."""
         content: dict[str, Any] = finite(dataclasses.asdict(self))
         return content
 

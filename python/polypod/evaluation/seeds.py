@@ -44,7 +44,7 @@ class Summary:
     robots: dict[str, dict[str, Interval]]
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """Returns the summary for JSON."""
         robots = {
             robot: {key: dataclasses.asdict(interval) for key, interval in figures.items()}
             for robot, figures in self.robots.items()

@@ -20,7 +20,8 @@ DAMPING = 1e-6
 TURN_WEIGHT = 0.2
 """Weight of a foot's orientation against its position, m/rad: about the length of a foot."""
 LOOSE_TURN_WEIGHT = 0.02
-"""The same for legs of fewer than six joints, whose feet keep their places and tilt."""
+"""Weight of the orientation for legs of fewer than six joints, whose feet keep their places and
+tilt."""
 LARGEST_STEP = 0.4
 """Largest change of a joint in one of them, rad."""
 TOLERANCE = 1e-5

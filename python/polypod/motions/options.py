@@ -119,7 +119,7 @@ class Options(msgspec.Struct, forbid_unknown_fields=True):
     """Frames where episodes begin."""
 
     def as_dict(self) -> dict[str, Any]:
-        """The same as dicts and lists, for a manifest."""
+        """Returns the options as dicts and lists, for a manifest."""
         built: dict[str, Any] = msgspec.to_builtins(self)
         return built
 

@@ -26,7 +26,7 @@ class Checks:
             raise ConfigError(f"{self.begin}{what} gives no array: {error}; return a NumPy array") from error
 
     def numbers(self, what: str, value: Any) -> npt.NDArray[np.float64]:
-        """The same as numbers."""
+        """Returns a term's value as numbers. Raises ConfigError."""
         array = self.array(what, value)
         if array.dtype.kind not in "fiub":
             raise ConfigError(f"{self.begin}{what} gives {array.dtype}; return numbers")

@@ -31,7 +31,7 @@ class Mesh:
     corner."""
 
     def moved(self, position: npt.ArrayLike, quaternion: npt.ArrayLike) -> "Mesh":
-        """The same in the parent frame of a pose: m, and (w, x, y, z)."""
+        """Returns the mesh in the parent frame of a pose: m, and (w, x, y, z)."""
         return Mesh(self.vertices @ rotations.matrix(quaternion).T + np.asarray(position, dtype=np.float64), self.faces)
 
     def triangles(self) -> npt.NDArray[np.uint32]:

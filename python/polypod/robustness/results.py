@@ -101,7 +101,7 @@ class Battery:
         return all(row.is_within for row in self.rows) and any(row.robots for row in self.rows)
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """Returns the results for JSON."""
         content: dict[str, Any] = finite({**dataclasses.asdict(self), "is_within": self.is_within})
         return content
 

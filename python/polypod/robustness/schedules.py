@@ -30,7 +30,7 @@ def walking(ranges: Ranges, num_envs: int, steps: int, step_dt: float, seed: int
 
 
 def every_2s(ranges: Ranges, num_envs: int, steps: int, step_dt: float, seed: int) -> Schedule:
-    """The same kinds of commands, each for `SHORT_S`."""
+    """Commands of the kinds of `walking`, each for `SHORT_S`."""
     per_segment = max(1, round(SHORT_S / step_dt))
     segments = -(-steps // per_segment)
     longer = Schedule.draw(ranges, num_envs, segments * max(1, round(SEGMENT_S / step_dt)), step_dt, seed)

@@ -44,7 +44,7 @@ class Compared(Generic[Robot]):
         return {"transfers": robot.transfers}
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """Returns the comparison for JSON."""
         whole = dataclasses.asdict(self)
         robots = {name: {**whole["robots"][name], **self.judged(robot)} for name, robot in self.robots.items()}
         content: dict[str, Any] = finite({**whole, "transfers": self.transfers, "robots": robots})

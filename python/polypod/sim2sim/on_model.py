@@ -143,7 +143,7 @@ class ModelComparison:
         return not self.why_not
 
     def as_dict(self) -> dict[str, Any]:
-        """The same, for JSON."""
+        """Returns the results for JSON."""
         content = {**dataclasses.asdict(self), "transfers": self.transfers, "why_not": self.why_not}
         found: dict[str, Any] = finite(content)
         return found

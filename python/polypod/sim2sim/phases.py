@@ -16,7 +16,7 @@ DEFAULT = "forward=0.8,turn=0.6,left=0.5,stop"
 SETTLE_S = 1.0
 """Time after a command from which the mean motion is taken, s."""
 STOP_S = 2.0
-"""The same after a stop, s."""
+"""Time after a stop from which it is taken, s."""
 FASTEST = 20.0
 """Largest speed of a phase, m/s or rad/s."""
 _DIRECTIONS = {

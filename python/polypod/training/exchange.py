@@ -48,7 +48,7 @@ class Exchange:
 
 
 class CardExchange(Exchange):
-    """The same where the simulator makes whole control steps on the learner's card.
+    """Exchange where the simulator makes whole control steps on the learner's card.
 
     Observations and actions are the simulator's own arrays. The host queues the steps of an
     iteration and waits for none of them.

@@ -170,7 +170,7 @@ class Workers:
         return [row[:length].tobytes() for row, length in zip(rows, lengths, strict=True)]
 
     def bytes_for_first(self, mine: bytes) -> list[bytes]:
-        """The same for worker 0 alone; an empty list for the others."""
+        """Gathers such bytes for worker 0 alone; returns an empty list to the others."""
         if self.count == 1:
             return [mine]
         lengths = self._lengths(len(mine))
