@@ -144,7 +144,7 @@ pub(super) fn settle_mirrors(mirrors: Res<LinkMirrors>, mut links: Query<Moving>
     }
 }
 
-/// Puts the mirrors of robots that begin a new episode where these are, for Avian's rays too.
+/// Moves the mirrors of robots that begin a new episode to these robots, for Avian's rays too.
 pub(super) fn mirror_resets(world: &mut World) -> Result {
     Ok(run(world, place_new)?)
 }

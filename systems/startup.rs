@@ -120,7 +120,7 @@ struct ActuatorGains(Source<[Option<Draw>; 2]>);
 struct UncheckedGains {
     /// Bounds of the draw for stiffness, or mean and deviation. Default: each robot's own.
     stiffness_distribution_params: Option<[f64; 2]>,
-    /// The same for damping.
+    /// Bounds of the draw for damping, or mean and deviation. Default: each robot's own.
     damping_distribution_params: Option<[f64; 2]>,
     /// Effect of the drawn number on the present one. Default: `scale`.
     operation: Option<Operation>,
@@ -148,9 +148,9 @@ struct JointParameters(Source<[Option<Draw>; 3]>);
 struct UncheckedJoints {
     /// Bounds of the draw for armature, or mean and deviation. Default: each robot's own.
     armature_distribution_params: Option<[f64; 2]>,
-    /// The same for dry friction.
+    /// Bounds of the draw for dry friction, or mean and deviation. Default: each robot's own.
     friction_distribution_params: Option<[f64; 2]>,
-    /// The same for viscous friction.
+    /// Bounds of the draw for viscous friction, or mean and deviation. Default: each robot's own.
     viscous_friction_distribution_params: Option<[f64; 2]>,
     /// Effect of the drawn number on the present one. Default: `scale`.
     operation: Option<Operation>,

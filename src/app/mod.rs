@@ -197,7 +197,8 @@ impl Sim {
         self.config_with(|_| ())
     }
 
-    /// The same text for engines with the same bits: it names the one whose bits they are.
+    /// The resolved config, equal for engines with the same bits: it names the engine whose bits
+    /// they are.
     fn config_of_bits(&self) -> String {
         let engine =
             self.world.get_resource::<Engines>().and_then(|engines| engines.of(&self.task().config).ok()?.bits_of());

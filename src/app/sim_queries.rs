@@ -173,7 +173,8 @@ impl Sim {
         self.pin_command_of(&envs, name, numbers)
     }
 
-    /// The same for some envs, row-major `[envs, columns]`; those of other envs stay as they are.
+    /// Pins or releases a command in some envs, row-major `[envs, columns]`; other envs stay as
+    /// they are.
     ///
     /// # Errors
     /// A command that the task does not give; the wrong number of numbers, or one that is not

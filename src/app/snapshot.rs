@@ -21,7 +21,7 @@ const FORMAT: u32 = 14;
 #[derive(Serialize, Deserialize)]
 struct Snapshot {
     seed: u64,
-    /// Number of its first env in the whole batch.
+    /// Number of the share's first env in the whole batch.
     first_env: u64,
     /// The envs in the whole batch, in rising order, where it is a snapshot of some envs alone.
     envs: Option<Vec<u64>>,

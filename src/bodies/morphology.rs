@@ -723,13 +723,14 @@ impl MorphologyModel {
         groups.zip(&self.networks).map(describe).collect()
     }
 
-    /// For each of the robot's slots the one on its other side, and the sign that its position
-    /// takes there.
+    /// Slot on the other side of each of the robot's slots, and the sign that its position takes
+    /// there.
     pub fn mirrored_slots(&self) -> Vec<(usize, f32)> {
         (0..self.slots.len()).map(|slot| self.mirror(slot)).collect()
     }
 
-    /// The same for all `columns` of a batch; those that the robot lacks stay as they are.
+    /// Column on the other side of each of the `columns` of a batch, and the sign there; columns
+    /// that the robot lacks stay as they are.
     pub fn mirrored_columns(&self, columns: usize) -> Vec<(usize, f32)> {
         let mut mirror: Vec<(usize, f32)> = (0..columns).map(|column| (column, 1.0)).collect();
         for (own, (other, sign)) in self.slots.iter().zip(self.mirrored_slots()) {

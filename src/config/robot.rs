@@ -229,8 +229,8 @@ pub enum InputOrder {
 pub enum ActuatorModel {
     /// Proportional-derivative control, clipped at the effort limit.
     IdealPd,
-    /// The same; Isaac Lab's name for gains that are integrated implicitly, as all are here by
-    /// default.
+    /// The same as `ideal_pd`; Isaac Lab's name for gains that are integrated implicitly, as all
+    /// are here by default.
     ImplicitPd,
     /// Proportional-derivative control, clipped by the torque-speed line of a DC motor.
     DcMotor,

@@ -44,7 +44,7 @@ pub struct RayCasterCameraConfig {
     /// Half width of the uniform noise of each pixel of a frame, m. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Noise, _, _>")]
     pub noise: f64,
-    /// The same per m of distance. Default: 0.
+    /// Half width of this noise per m of distance. Default: 0.
     #[serde(default, deserialize_with = "values::number_of::<Gain, _, _>")]
     pub relative_noise: f64,
 }

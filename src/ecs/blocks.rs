@@ -374,7 +374,7 @@ impl<R> BlockList<R> {
         Some((&block.rows, env.checked_sub(block.envs.start)?))
     }
 
-    /// The same, to write.
+    /// The rows of an env's block to write, and which of them is the env's.
     pub fn at_mut(&mut self, env: usize) -> Option<(&mut R, usize)> {
         let place = self.place_of(env)?;
         let block = self.blocks.blocks.get_mut(place)?.as_mut()?;
@@ -438,7 +438,7 @@ impl<R, I: Iterator<Item = Block<R>>> BlockIter<I> {
         BlockIter { blocks: self.blocks.filter_map(join), most_envs: self.most_envs }
     }
 
-    /// The same blocks with other rows.
+    /// Blocks of the same envs with other rows.
     #[must_use]
     pub fn map<T>(self, mut f: impl FnMut(Morphology, R) -> T) -> BlockIter<impl Iterator<Item = Block<T>>> {
         let block = move |Block { morphology, envs, rows }| Block { morphology, envs, rows: f(morphology, rows) };
@@ -488,8 +488,8 @@ impl<R: SplitRows, I: Iterator<Item = Block<R>>> BlockIter<I> {
         });
     }
 
-    /// The same with a computation on each chunk that is compiled for the instruction set; `kernel`
-    /// makes it of a chunk.
+    /// Runs a computation on each of these chunks that is compiled for the instruction set;
+    /// `kernel` makes it of a chunk.
     pub fn vectorize_chunks<K: Kernel<f32, Output = ()>>(
         self,
         workers: &Workers,
@@ -506,7 +506,7 @@ pub type Slices<'w, 's, D> = <<D as ContiguousQueryData>::Contiguous<'w, 's> as 
 pub trait IntoSlices {
     /// A slice, or a tuple of them.
     type Slices;
-    /// The same data.
+    /// Returns the data as slices.
     fn into_slices(self) -> Self::Slices;
 }
 

@@ -511,7 +511,7 @@ impl ContactForces {
         net
     }
 
-    /// The same into `net`, a force for each contact body.
+    /// Writes these forces to `net`, one for each contact body.
     pub fn write_net(&self, feet: &[usize], net: &mut [[f32; 3]]) {
         net.fill([0.0; 3]);
         for (&foot, &force) in feet.iter().zip(&self.feet) {

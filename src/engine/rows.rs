@@ -117,7 +117,7 @@ macro_rules! robot_slices {
             $($(#[$doc])* pub $name: &'a mut [$component],)*
         }
 
-        /// The same components, without those of envs, as a query.
+        /// Query of these components, without those of envs.
         pub(crate) type RobotColumns = ($(&'static mut $component,)*);
 
         impl<'a> RobotSlices<'a> {
@@ -126,7 +126,7 @@ macro_rules! robot_slices {
                 Self { origins, $($name,)* }
             }
 
-            /// The same slices, for a shorter time.
+            /// Borrows the slices for a shorter time.
             pub(crate) fn reborrow(&mut self) -> RobotSlices<'_> {
                 RobotSlices { origins: self.origins, $($name: &mut *self.$name,)* }
             }

@@ -22,7 +22,7 @@ pub(super) struct MassProperties {
 impl MassProperties {
     pub const ZERO: Self = Self { mass: 0.0, com: DVec3::ZERO, inertia: DMat3::ZERO };
 
-    /// The same body in the frame in which `pose` places the present one.
+    /// Masses of the body in the frame in which `pose` places the present one.
     pub fn transformed(&self, pose: &Pose) -> Self {
         let turned = pose.rotation * self.inertia * pose.rotation.transpose();
         Self {

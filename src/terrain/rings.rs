@@ -15,7 +15,7 @@ fn square(half: f64) -> [f64; 2] {
 /// Stairs with landings or open risers; `step` is negative where they go down.
 ///
 /// Seen from above, an open riser is an opening between the tread and the riser of the higher step.
-/// It reaches down to the foot of the stairs.
+/// This opening reaches down to the foot of the stairs.
 pub(super) fn flights(c: &StairsConfig, level: &Level, step: f64) -> Mesh {
     let mut half = level.half().map(|x| x - c.border_width);
     let mut treads = Vec::new();

@@ -30,7 +30,8 @@ struct PlacementParams {
     /// Height to which feet swing, m. Default: `swing_share`.
     #[serde(default, deserialize_with = "values::optional_range_of::<Rise, _, _>")]
     swing_height: Option<[f32; 2]>,
-    /// The same as a share of the height of the hips in the default pose. Default: 0.2.
+    /// Height to which feet swing, as a share of the height of the hips in the default pose.
+    /// Default: 0.2.
     #[serde(default = "fifth", deserialize_with = "values::range_of::<Turns, _, _>")]
     swing_share: [f32; 2],
 }

@@ -28,7 +28,7 @@ struct JumpParams {
     /// Rise of the base above its default height, m. Default: `height_share`.
     #[serde(default, deserialize_with = "values::optional_range_of::<Rise, _, _>")]
     height: Option<[f32; 2]>,
-    /// The same as a share of the height of the hips in the default pose. Default: 0.5.
+    /// Rise of the base, as a share of the height of the hips in the default pose. Default: 0.5.
     #[serde(default = "half", deserialize_with = "values::range_of::<Turns, _, _>")]
     height_share: [f32; 2],
     /// Way forward between take-off and landing, m; negative backwards. Default: 0.

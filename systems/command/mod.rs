@@ -108,7 +108,7 @@ pub(super) fn update_commands(
     Ok(())
 }
 
-/// The same for all other commands.
+/// Draws and updates all other commands.
 pub(super) fn update_other_commands(
     workers: Res<Workers>,
     morphologies: Res<crate::morphology::Morphologies>,
@@ -155,7 +155,7 @@ fn count_steps(mut envs: Blocks<&'static mut CurriculumProgress, Env>) -> Result
     Ok(())
 }
 
-/// The same angle within half a turn of zero, rad.
+/// Brings an angle within half a turn of zero, rad.
 #[inline(always)]
 pub(super) fn wrap_to_pi(angle: f32) -> f32 {
     const TURN: f32 = std::f32::consts::TAU;

@@ -124,7 +124,7 @@ impl Registry {
         self.forms.keys().copied()
     }
 
-    /// The same for a reward term that depends on numbers alone.
+    /// Gives a form on the device to a reward term that depends on numbers alone.
     pub(in crate::systems) fn reward_on_device<P: DeserializeOwned + 'static>(
         &mut self,
         name: &'static str,

@@ -207,9 +207,9 @@ pub struct Topology {
     pub contacts: Vec<ContactTopology>,
     /// Shapes for contact between the robot's own links.
     pub colliders: Vec<ColliderTopology>,
-    /// Pairs of them that are looked at.
+    /// Pairs of these shapes that are looked at.
     pub pairs: Vec<PairTopology>,
-    /// The same by links.
+    /// These pairs by links.
     pub(super) pair_groups: Vec<PairGroup>,
     /// `link_colliders[link]`: its places in `colliders`.
     link_colliders: Lists<usize>,

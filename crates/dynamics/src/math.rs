@@ -25,7 +25,7 @@ pub fn cross_add<S: Real>(a: &Vec3<S>, b: &Vec3<S>, c: &Vec3<S>) -> Vec3<S> {
     ]
 }
 
-/// The same numbers in every lane.
+/// Copies numbers into every lane.
 #[inline(always)]
 pub fn splat<S: Real>(a: &[f64; 3]) -> Vec3<S> {
     [S::splat(a[0]), S::splat(a[1]), S::splat(a[2])]

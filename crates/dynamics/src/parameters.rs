@@ -322,7 +322,7 @@ impl<S: Real> Parameters<S> {
         }
     }
 
-    /// The same numbers in another precision, in every lane.
+    /// Copies numbers of another precision into every lane.
     pub fn from_scalars<T: Real>(topology: &Topology, scalars: &Parameters<T>) -> Self {
         let mut new = Self::zeros(topology);
         new.zip_with(scalars, |x, y| *x = S::splat(y.lane(0)));

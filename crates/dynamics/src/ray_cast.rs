@@ -101,7 +101,7 @@ pub struct Rays<'a> {
     pub grid: &'a HeightGrid,
     /// Bounds of the grid's squares.
     pub bounds: &'a HeightBounds,
-    /// Place that they start from, in the grid's frame, m.
+    /// Place that the rays start from, in the grid's frame, m.
     pub position: Vec3<f32>,
     /// Camera's axes as columns: x along the camera's axis, y to the left, z to the top.
     pub rotation: &'a Mat3<f32>,

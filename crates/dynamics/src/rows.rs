@@ -72,7 +72,7 @@ pub(super) struct BoundRow<S: Real> {
     pub(super) lowest: S,
     pub(super) highest: S,
     pub(super) limit_impulse: S,
-    /// The same for the motion that pushes joints back that are past a limit.
+    /// Limit impulse of the motion that pushes joints back that are past a limit.
     pub(super) push_impulse: S,
     pub(super) friction_impulse: S,
     pub(super) max_friction: S,

@@ -94,9 +94,9 @@ pub struct SolverSettings {
     /// such as a fixed base with its feet in the ground. A standing robot sinks by less than a
     /// micrometre.
     pub ground_compliance: f64,
-    /// The same between links of one robot. Ten times as much: these may press where no joint gives
-    /// way, which a floating robot never does against the ground. With rigid contacts such robots
-    /// flew apart.
+    /// Compliance of contacts between links of one robot, ten times as much: these may press where
+    /// no joint gives way, which a floating robot never does against the ground. With rigid
+    /// contacts such robots flew apart.
     pub pair_compliance: f64,
     /// Least compliance of a contact's tangents, as a share of the whole robot's. A floating robot
     /// gives way at least as its whole mass would; a link fixed to the world may not give way at
@@ -105,7 +105,7 @@ pub struct SolverSettings {
     /// Penetration that is left alone, m. With 0.1 mm most steps have nothing to push out, which
     /// saves a standing robot a thirtieth of its time over 0.01 mm.
     pub penetration_slop: f64,
-    /// The same for joints beyond a position limit, rad or m. Limits are exact in reduced
+    /// Excess over a position limit that is left alone, rad or m. Limits are exact in reduced
     /// coordinates: less will do.
     pub limit_slop: f64,
 

@@ -28,7 +28,7 @@ pub(super) struct SparseRows<S, const UNITS: bool = false> {
     parts: usize,
     block: usize,
     pub(super) base: [[S; 6]; 3],
-    /// The joint part of that block.
+    /// Joint part of the rows in the first block.
     pub(super) own: JointRows<S>,
 }
 

@@ -411,9 +411,9 @@ impl<S: Real> Terrain<'_, S> {
     /// Gap of spheres (points, where the radius is zero) above the ground, m, and the unit normal
     /// of the contact, lane by lane: `place` are the centres about the envs' origins.
     ///
-    /// It is the plane of the ground below the centre that counts; but where the ground falls away
-    /// from it before it comes nearest, on the edge of a step, a sphere touches the edge, and the
-    /// normal turns as the foot leaves it.
+    /// The plane of the ground below the centre counts. Where the ground falls away from that plane
+    /// before it comes nearest, on the edge of a step, a sphere touches the edge, and the normal
+    /// turns as the foot leaves it.
     #[inline(always)]
     pub(super) fn gap(&self, place: &Vec3<S>, radius: S) -> (S, Vec3<S>) {
         let found = self.sample(place[0], place[1]);

@@ -67,7 +67,7 @@ pub(crate) struct Shares {
     pub(crate) worker: Worker,
     /// Whole subtrees of this worker's parts, counted from its first one.
     pub(crate) nodes: Vec<(Range<usize>, Tree)>,
-    /// Number of such subtrees of each worker.
+    /// Number of subtrees of each worker.
     counts: Vec<usize>,
     /// Largest number of subtrees of a worker.
     most: usize,

@@ -108,7 +108,7 @@ def _replaced(sections: list[tuple[str, list[str]]], names: list[str], lines: li
 
 
 def _surfaces(robot: Description) -> list[str]:
-    """Tables of surfaces, of the links that do not touch the ground as all robots do."""
+    """Tables of surfaces: the links whose contact with the ground is not the usual one."""
     tables: dict[Surface, list[str]] = {}
     for link in robot.links:
         if link.shapes and link.shapes[0].surface != Surface():

@@ -274,11 +274,10 @@ class Live:
             raise _core.ConfigError(f"env {env}: the envs are 0 to {self.player.sim.num_envs - 1}")
 
     def _do(self, wait: bool) -> None:
-        """Does what was asked for until now.
+        """Runs the actions that the page has asked for so far.
 
-        With `wait` at least one thing, or nothing for a short time.
-
-        The one place where actions of the page run: none of them ends the program.
+        With `wait` it waits a short time for the first one. No action runs elsewhere, and none ends
+        the program.
         """
         with self._asked:
             if wait and not self._todo:

@@ -193,7 +193,10 @@ def _policies(checkpoint: Path) -> dict[str, Path]:
 
 
 def _record(player: Player, viewer: Viewer | None, film: Film | None, seconds: float) -> None:
-    """Steps as fast as possible; a recording holds all control steps, a film its own rate."""
+    """Steps as fast as possible.
+
+    A recording holds all control steps, a film as many frames as its rate asks for.
+    """
     if viewer is not None:
         viewer.record()
     began = player.time

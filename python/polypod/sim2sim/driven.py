@@ -39,7 +39,7 @@ class FoldedPolicy(Protocol):
 
     @property
     def inputs(self) -> Mapping[str, int]:
-        """Names and sizes of its inputs."""
+        """Names and sizes of the inputs."""
 
     def __call__(self, **inputs: npt.ArrayLike) -> dict[str, Floats]:
         """Outputs for inputs [envs, size]."""

@@ -342,7 +342,7 @@ class _Matcher:
             return []
         cost = (distance / self._unit) ** 2 + 0.2 * (along / self._unit) ** 2
         cost += 20.0 * (1.0 - abs(cosine))
-        # from here on, differences of the links before count no more
+        # later differences are measured from here, without those of the links before
         motion = motion.then_moved(across) if distance > 1e-12 else motion
         ways: list[Match] = []
         clear = CLEAR * (1 + len(self._below[ours]))

@@ -248,7 +248,7 @@ def play(
 
 
 def robot_of(model_file: Path, robots: Sequence[str]) -> str:
-    """Checks the file, then `guess`. Raises ConfigError."""
+    """Checks the file, and returns the robot that `guess` finds. Raises ConfigError."""
     try:
         mjcf.check(model_file)
     except ValueError as error:

@@ -187,7 +187,7 @@ class Workers:
         return lengths
 
     def gather_messages(self, mine: Any) -> list[Any]:
-        """Messages of all workers: numbers, text, bytes, and lists and dicts of these."""
+        """Returns the messages of all workers: numbers, text, bytes, lists and dicts of these."""
         return [msgspec.msgpack.decode(data) for data in self.gather_bytes(msgspec.msgpack.encode(mine))]
 
     def from_first(self, say: Callable[[], _T]) -> _T:

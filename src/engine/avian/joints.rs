@@ -275,7 +275,7 @@ impl Inertia {
         Self { turn: body.inertia + arm * couple, couple, shift: Mat3::from_diagonal(Vec3::splat(body.mass)) }
     }
 
-    /// The same about a point from which the present one is `reach` away.
+    /// The body about a point from which the present one is `reach` away.
     fn moved(&self, reach: Vec3) -> Self {
         let r = skew(reach);
         let couple = self.couple + r * self.shift;

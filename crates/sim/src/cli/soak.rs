@@ -231,7 +231,7 @@ impl Worst {
 struct Energy {
     dt: f64,
     weight: f64,
-    /// The same robots without contacts.
+    /// Simulation of these robots without contacts.
     alone: Simulation,
     /// Total energy, J, `[envs]`.
     total: Vec<Won>,
