@@ -164,7 +164,7 @@ impl RobotLog {
         self.causes.iter_mut().zip(&other.causes).for_each(|(sum, count)| *sum = sum.saturating_add(*count));
     }
 
-    /// Whether the log may replace `present`.
+    /// Whether the log of a snapshot has the entries of `present` and counts within bounds.
     fn fits(&self, present: &Self) -> bool {
         let counts = [self.episodes, self.falls, self.steps, self.age].into_iter().chain(self.causes.iter().copied());
         self.terms.len() == present.terms.len()

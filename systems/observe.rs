@@ -441,7 +441,7 @@ fn height_scan(p: &ScanOffset, r: &RobotView, out: &mut [f32]) {
 /// Numbers of the term `morphology`.
 const MORPHOLOGY_SIZE: usize = 35;
 
-/// Blocks of its numbers; see [`morphology`].
+/// Blocks of these numbers; see [`morphology`].
 const MORPHOLOGY_BLOCKS: [Block; 7] = [
     Block::new(Per::Body, 1),
     Block::new(Per::Length, 1),

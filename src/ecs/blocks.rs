@@ -84,7 +84,7 @@ pub trait BlockMarker: Component {
     /// Name of an entity of this kind in errors.
     const NAME: &'static str;
 
-    /// Whether the envs of a morphology have one in a task. Default: they have.
+    /// Whether envs of a morphology have such an entity in a task. Default: yes.
     fn is_on(_morphology: &MorphologyModel, _task: &TaskConfig) -> bool {
         true
     }

@@ -65,7 +65,7 @@ pub trait Engine: Send + Sync {
         Ok(Vec::new())
     }
 
-    /// Checks bytes of a snapshot, and changes nothing. Default: there must be none.
+    /// Checks bytes of a snapshot, and changes nothing. Default: there must be no bytes.
     ///
     /// # Errors
     /// An error says what is wrong with the bytes.

@@ -15,7 +15,7 @@ use crate::dynamics::lanes::Real;
 pub(super) fn slope(c: &SlopeConfig, config: &TerrainConfig, slope: f64) -> Mesh {
     let mut field = Field::new(config, c.border_width);
     let [n, m] = field.inner();
-    // as in the reference: the longest way up is half of the inner part along x
+    // the longest way up is half of the inner part along x, as in the reference
     let peak = (slope * 0.5 * n as f64 * config.horizontal_scale / config.vertical_scale).trunc();
     let share = |index: usize, count: usize| {
         let middle = (count / 2).max(1) as f64;

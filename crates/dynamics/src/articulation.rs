@@ -391,7 +391,7 @@ impl Topology {
         self.paths.parts(link)
     }
 
-    /// Places in a path of the blocks that carry one of its parts.
+    /// Places in their path of the blocks that carry the block of a part.
     #[inline(always)]
     pub(super) fn carriers_in_path(&self, part: &PathPart) -> &[usize] {
         self.paths.carriers_of(part)

@@ -27,7 +27,7 @@ pub struct State<S> {
     /// s, `[contacts, then pairs]`, then with torsional or rolling friction the angular ones about
     /// these axes, N m s, `[contacts]`; they warm-start the next one.
     pub impulse: Vec<[S; 3]>,
-    /// Contacts whose impulse is not zero in every lane: all others must be zero.
+    /// Contacts whose impulse is not zero in some lane: those of all others must be zero.
     pub pressing: Vec<u32>,
     /// Impulses of the joints' limits and dry friction in the last physics step, N m s, `[joints]`;
     /// they warm-start the next one.

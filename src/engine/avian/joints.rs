@@ -26,8 +26,8 @@ const LOOK_AHEAD: f32 = 0.36;
 const AVERAGE_ACCELERATION: f32 = 0.25;
 /// Links that came apart return at no more than this, m/s or rad/s.
 const MAX_RETURN: f32 = 4.0;
-/// Share of the inertia behind a joint that corrections of its bounds count with: what is before
-/// the joint yields, too.
+/// Share of the inertia behind a joint that corrections of its bounds assume: the links before the
+/// joint yield, too.
 const BOUND_MASS: f32 = 0.4;
 
 /// Impulses about a joint's axis over one substep.
