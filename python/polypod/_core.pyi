@@ -1676,7 +1676,7 @@ def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
     """
 
 def slots_of_legs(joint_names: Sequence[str]) -> list[bool]:
-    """Which of these slots are of a leg; False for a name that is no slot.
+    """Whether each of these slots is of a leg; False for a name that is no slot.
 
     A joint that slides on the left or the right (`L_SLIDE`) counts as a leg's.
     """
