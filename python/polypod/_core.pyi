@@ -1661,6 +1661,12 @@ def terrain(task: str, overrides: Sequence[str] = ...) -> TerrainEntry:
     Raises ConfigError where it is a plane, UnknownNameError for an unknown task.
     """
 
+def slots_of_legs(joint_names: Sequence[str]) -> list[bool]:
+    """Which of these slots are of a leg; False for a name that is no slot.
+
+    A joint that slides on the left or the right (`L_SLIDE`) counts as a leg's.
+    """
+
 def share_of_worker(num_envs: int, worker: int, workers: int) -> tuple[int, int]:
     """The envs [start, end) of `num_envs` that a worker simulates: whole blocks of 16 or more.
 

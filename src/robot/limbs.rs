@@ -235,9 +235,9 @@ impl Role {
         }
     }
 
-    /// Whether limbs at `place` may have the role, as legs or as arms.
-    const fn is_at(self, place: Place) -> bool {
-        let is_of_leg = matches!(
+    /// Whether the role is a leg's, wherever the leg is.
+    const fn is_of_leg(self) -> bool {
+        matches!(
             self,
             Self::Haa
                 | Self::Hfe
@@ -253,7 +253,11 @@ impl Role {
                 | Self::AnkleYaw
                 | Self::Wheel
                 | Self::Toe
-        );
+        )
+    }
+
+    /// Whether limbs at `place` may have the role, as legs or as arms.
+    const fn is_at(self, place: Place) -> bool {
         let is_of_middle = matches!(self, Self::Yaw | Self::Roll | Self::Pitch);
         match (self, place) {
             (Self::Slide, _) => true,
@@ -261,7 +265,7 @@ impl Role {
             (Self::Finger, Place::Arm) => true,
             (_, Place::Left | Place::Right) => !is_of_middle,
             (_, Place::Torso | Place::Head | Place::Arm | Place::Tail) => is_of_middle,
-            _ => is_of_leg,
+            _ => self.is_of_leg(),
         }
     }
 
@@ -315,6 +319,13 @@ impl Slot {
             }
         };
         role.is_at(place).then_some(Self { role, nth, place })
+    }
+
+    /// Whether the slot is a leg's. A joint that slides counts as one unless it is in the middle of
+    /// the body: its slot does not tell an arm from a leg.
+    pub const fn is_of_leg(self) -> bool {
+        let slides = matches!(self.role, Role::Slide) && !matches!(self.place.side(), Side::Middle);
+        self.role.is_of_leg() || slides
     }
 
     /// The slot in a mirror between left and right.
@@ -472,6 +483,13 @@ mod tests {
                     assert_eq!(slot.mirrored().mirrored(), slot);
                 }
             }
+        }
+        let leg = |name: &str| Slot::parse(name).expect("a slot").is_of_leg();
+        for name in ["LF_HAA", "RM_HIP_LIFT", "L_KNEE", "R_ANKLE_ROLL", "LH_WHEEL", "L_TOE", "R_SLIDE"] {
+            assert!(leg(name), "{name}");
+        }
+        for name in ["TORSO_YAW", "HEAD_PITCH", "ARM_ROLL_2", "TAIL_SLIDE", "L_SHOULDER_YAW", "R_WRIST_ROLL", "L_FINGER"] {
+            assert!(!leg(name), "{name}");
         }
         for name in ["LF_HIP", "FL_HAA", "L_HAA", "LF", "LF_HAA_1", "LF_HAA_02", "TORSO_KNEE", "LF_ELBOW", "L_YAW", ""]
         {

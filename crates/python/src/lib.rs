@@ -242,6 +242,12 @@ fn draft_robot(
     Ok(dict)
 }
 
+#[doc = docstring!("slots_of_legs")]
+#[pyfunction]
+fn slots_of_legs(joint_names: Vec<String>) -> Vec<bool> {
+    joint_names.iter().map(|name| robot::Slot::parse(name).is_some_and(robot::Slot::is_of_leg)).collect()
+}
+
 #[doc = docstring!("share_of_worker")]
 #[pyfunction]
 fn share_of_worker(
@@ -320,6 +326,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(robot_urdf, module)?)?;
     module.add_function(wrap_pyfunction!(check, module)?)?;
     module.add_function(wrap_pyfunction!(draft_robot, module)?)?;
+    module.add_function(wrap_pyfunction!(slots_of_legs, module)?)?;
     module.add_function(wrap_pyfunction!(share_of_worker, module)?)?;
     module.add_function(wrap_pyfunction!(join_snapshots, module)?)?;
     module.add_function(wrap_pyfunction!(cuda, module)?)?;

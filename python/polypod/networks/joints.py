@@ -1,7 +1,6 @@
 """Where an observation holds what belongs to which joint."""
 
 import dataclasses
-import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,7 +32,7 @@ class JointColumns:
     general: npt.NDArray[np.int64]
     """[n], columns that belong to no joint."""
     legs: npt.NDArray[np.bool_]
-    """[joints], which of the slots are of a leg, by their names."""
+    """[joints], which of the slots are of a leg."""
     num_obs: int
 
     @property
@@ -86,17 +85,9 @@ def joint_columns(layout: Layout, joint_names: Sequence[str]) -> JointColumns:
         magnitudes=np.array(magnitudes, dtype=np.float32),
         descriptions=np.concatenate(descriptions),
         general=np.array(general, dtype=np.int64),
-        legs=np.array([_is_of_leg(name) for name in joint_names]),
+        legs=np.array(_core.slots_of_legs(joint_names), dtype=np.bool_),
         num_obs=sum(term.size for term in terms),
     )
-
-
-_OTHER_LIMBS = re.compile(r"(TORSO|HEAD|ARM|TAIL)_|[LR]_(SHOULDER_|ELBOW|WRIST_|FINGER)")
-"""Slots of limbs that are no legs."""
-
-
-def _is_of_leg(name: str) -> bool:
-    return not _OTHER_LIMBS.match(name)
 
 
 def _check_size(term: Term, joints: int) -> None:

@@ -5,7 +5,6 @@ All tools use it like any other network.
 
 import dataclasses
 import json
-import re
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from polypod import _core, networks
 from polypod.evaluation import evaluate_checkpoint, load_network
 from polypod.export import OnnxPolicy, export_checkpoint, onnx_graph
 from polypod.export.checkpoint import compare
-from polypod.networks.joints import _is_of_leg, joint_columns
+from polypod.networks.joints import joint_columns
 from polypod.observation import layout_of as layout_of_terms
 from polypod.observation import terms_of
 from polypod.runs import config, run_dir
@@ -59,7 +58,7 @@ def build(joints, layout=None, seed=0, **changes):
         "joint_dim": 16,
         "num_heads": 4,
         "observation_layout": layout,
-        "joint_names": [f"J{joint}" for joint in range(joints)],
+        "joint_names": [f"L_KNEE_{joint + 2}" for joint in range(joints)],
         "distribution_cfg": {"class_name": "polypod.networks:JointGaussian"},
     }
     return networks.build_actor({**model, **changes}).eval()
@@ -158,18 +157,10 @@ def test_heads_of_legs_read_the_same_whatever_other_limbs_a_body_has():
         assert not torch.allclose(plain._joints(whole).relative[:4], plain._joints(bare).relative[:4], atol=1e-2)
 
 
-def test_slots_of_legs_are_those_whose_role_is_a_legs():
-    text = (ROOT / "src" / "robot" / "limbs.rs").read_text(encoding="utf-8").partition("impl Role {")[2]
-    names = dict(re.findall(r'Self::(\w+) => "([A-Z_]+)",', text))
-    listed = re.search(r"is_of_leg = matches!\(\s*self,(.*?)\);", text, re.DOTALL)
-    assert listed is not None
-    of_legs = set(re.findall(r"Self::(\w+)", listed[1]))
-    assert len(names) > len(of_legs) > 10
-    for role, name in names.items():
-        # a joint that slides is of any limb, and counts as a leg's on the left and the right
-        assert _is_of_leg(f"L_{name}") == (role in of_legs | {"Yaw", "Roll", "Pitch", "Slide"}), name
-    for place in ("TORSO", "HEAD", "ARM", "TAIL"):
-        assert not any(_is_of_leg(f"{place}_{name}") for name in ("YAW", "ROLL", "PITCH", "SLIDE"))
+def test_slots_of_legs_are_told_by_their_roles():
+    of_legs = ["LF_HAA", "RM_HIP_LIFT", "L_HIP_YAW", "R_KNEE", "LH_WHEEL", "L_ANKLE_ROLL", "R_SLIDE"]
+    others = ["TORSO_YAW", "HEAD_PITCH", "ARM_ROLL_2", "TAIL_SLIDE", "L_SHOULDER_YAW", "R_ELBOW", "no slot"]
+    assert _core.slots_of_legs(of_legs + others) == [True] * len(of_legs) + [False] * len(others)
 
 
 @pytest.mark.parametrize("leg_heads", [None, 3])
@@ -342,7 +333,7 @@ def test_normalisation_counts_the_joints_that_there_are():
 @pytest.mark.parametrize(("activation", "leg_heads"), [("elu", None), ("elu", 3), ("relu", None), ("tanh", 4)])
 def test_the_graph_computes_what_torch_does(activation, leg_heads):
     joints = 9
-    names = [*(f"L_LEG{joint}" for joint in range(6)), "TORSO_YAW", "L_ELBOW", "HEAD_YAW"]
+    names = [*(f"L_KNEE_{joint}" for joint in range(2, 8)), "TORSO_YAW", "L_ELBOW", "HEAD_YAW"]
     lacks = [(row, slot) for row in range(99) for slot in range(joints) if (row + slot) % 4 == 0 or row < slot - 5 < 4]
     observations = observations_of(99, joints, lacks)
     changes = {"activation": activation, "leg_heads": leg_heads, "joint_names": names}
