@@ -10,6 +10,7 @@ use crate::blocks::{Block, BlockSizes, Blocks};
 use crate::components::{Env, EnvOrigin, EnvRng};
 use crate::config::quantities::Gain;
 use crate::config::{Columns, Placement, values};
+use crate::engine::device::FormKind;
 use crate::terrain::TerrainLayout;
 use crate::world::Ground;
 
@@ -58,6 +59,9 @@ pub fn place_envs(
 /// All built-in curriculum terms, under Isaac Lab's names.
 pub(super) fn register(registry: &mut Registry) {
     registry.curriculum("terrain_levels", terrain_levels);
+    registry.on_device(FormKind::Curriculum, "terrain_levels", |p: LevelRules, _| {
+        Some((vec![p.required_share as f32, p.min_length_s as f32], Some(Vec::new())))
+    });
 }
 
 #[derive(Deserialize)]

@@ -214,16 +214,18 @@ impl Logs {
         self.all.iter_mut().zip(&other.all).for_each(|(log, other)| log.append(other));
     }
 
-    /// Counts an episode on ground without tiles of a robot at a place among the morphologies.
+    /// Counts an episode of a robot at a place among the morphologies, and its level on ground with
+    /// tiles.
     pub(super) fn add(
         &mut self,
         morphology: usize,
         episode: &Episode,
         sums: &EpisodeSums,
         progress: &CurriculumProgress,
+        level: Option<u32>,
     ) {
         for logs in [&mut self.recent, &mut self.all] {
-            logs[morphology].add(episode, sums, progress, None);
+            logs[morphology].add(episode, sums, progress, level);
         }
     }
 

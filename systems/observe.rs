@@ -408,6 +408,8 @@ pub(super) fn register(registry: &mut Registry) {
     ] {
         registry.on_device(FormKind::Observation, name, |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
     }
+    registry
+        .on_device(FormKind::Observation, "height_scan", |p: ScanOffset, _| Some((vec![p.offset], Some(Vec::new()))));
     registry.depends_on_body("morphology");
     registry.depends_on_body(TERM);
 }

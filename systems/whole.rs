@@ -198,7 +198,7 @@ fn enter(
     }
     workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, kept)| {
         let ((actions, stances, bodies), sensors) = robots;
-        let (episodes, rngs, commands, timers, sums, ..) = of_envs;
+        let (episodes, rngs, commands, timers, sums, _, origins) = of_envs;
         for env in 0..actions.len() {
             let rows = &mut host.rows;
             rows.write(env, Column::Action, &actions[env].current);
@@ -215,6 +215,7 @@ fn enter(
             let stance = &stances[env];
             rows.write(env, Column::Default, stance.default_position.iter());
             rows.write(env, Column::Stance, &[stance.action_scale, stance.spawn_height, bodies[env].0.total_mass()]);
+            rows.write(env, Column::Origin, &origins[env].position);
             rows.write(env, Column::Kept, &kept[env]);
             let (state, increment) = rngs[env].parts();
             rows.write_wide(env, Word::State, state);
@@ -225,6 +226,8 @@ fn enter(
             rows.write_word(env, Word::Causes, episode.causes);
             rows.write_word(env, Word::Steps, sum.steps);
             rows.write_word(env, Word::Flags, flags_of(episode, command, fresh[env]));
+            rows.write_word(env, Word::TileRow, origins[env].terrain_level);
+            rows.write_word(env, Word::TileColumn, origins[env].terrain_column);
         }
     });
     whole.upload().map_err(|error| lost(&error))?;
@@ -433,8 +436,11 @@ fn tell(
     }
     let limits = world.resource::<CompiledTask>().limits;
     world.resource_mut::<BrokenStates>().count_step(found, limits);
+    let has_tiles = world.resource::<Ground>().layout.is_some();
     if let Some(mut logs) = world.get_resource_mut::<Logs>() {
-        ended.iter().for_each(|(morphology, env, ended)| log(&mut logs, known, *morphology, *env, ended));
+        for (morphology, env, ended) in &ended {
+            log(&mut logs, known, (*morphology, *env), ended, has_tiles.then_some(ended.level));
+        }
     }
     Ok(())
 }
@@ -446,7 +452,7 @@ fn body_of(world: &mut World, env: usize) -> Option<Body> {
 }
 
 /// Counts an episode that has ended.
-fn log(logs: &mut Logs, known: &OnDevice, morphology: usize, env: usize, ended: &Ended) {
+fn log(logs: &mut Logs, known: &OnDevice, (morphology, env): (usize, usize), ended: &Ended, level: Option<u32>) {
     let episode = Episode {
         terminated: ended.flags & flags::TERMINATED != 0,
         truncated: ended.flags & flags::TRUNCATED != 0,
@@ -457,7 +463,7 @@ fn log(logs: &mut Logs, known: &OnDevice, morphology: usize, env: usize, ended: 
     let mut sums = EpisodeSums { terms, steps: ended.steps, ..EpisodeSums::default() };
     set_totals(&mut sums, ended.totals);
     let progress = CurriculumProgress { steps: known.before[env] + known.told, ..CurriculumProgress::default() };
-    logs.add(morphology, &episode, &sums, &progress);
+    logs.add(morphology, &episode, &sums, &progress, level);
 }
 
 /// Rows of one block, of the batch and of the host's side.
@@ -567,6 +573,7 @@ type ChangedColumns = (
     &'static mut EventTimers,
     &'static mut EpisodeSums,
     &'static mut CurriculumProgress,
+    &'static mut EnvOrigin,
 );
 
 /// Writes the other components.
@@ -583,7 +590,7 @@ fn leave_envs(
     let steps = std::mem::take(&mut known.steps);
     let blocks = robots.write()?.zip(sensors.write()?).zip(envs.write()?).into_iter().zip(whole.hosts());
     workers.for_each(blocks, |(Block { morphology, rows, .. }, host)| {
-        let ((robots, sensors), (episodes, rngs, commands, timers, sums, progress)) = rows;
+        let ((robots, sensors), (episodes, rngs, commands, timers, sums, progress, origins)) = rows;
         let ((actions, targets, forces), feet) = (robots, &morphologies.get(morphology).feet);
         for env in 0..actions.len() {
             let rows = &host.rows;
@@ -611,6 +618,8 @@ fn leave_envs(
             let state = (rows.wide(env, Word::State), rows.wide(env, Word::Increment));
             rngs[env].set_parts(state);
             progress[env].steps += steps;
+            rows.read(env, Column::Origin, &mut origins[env].position);
+            origins[env].terrain_level = rows.word(env, Word::TileRow);
             let bits = rows.word(env, Word::Flags);
             let has = |bit: u32| bits & bit != 0;
             episodes[env] = Episode {

@@ -2,5 +2,5 @@
 
 pub(crate) use polypod_cuda::{
     AutoresetForm, Column, Delay, Device, DeviceError, DeviceRows, Ended, EnvHost, Flow, Form, FormKind,
-    ObservationForm, RewardForm, RowSizes, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Word, flags,
+    ObservationForm, RewardForm, RowSizes, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Tiles, Word, flags,
 };

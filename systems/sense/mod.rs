@@ -199,11 +199,12 @@ fn measure_anew<S: Sensor>(world: &mut World) -> Result<(), Error> {
     Ok(())
 }
 
-/// Measures the feet's heights and the IMUs again, as a control step leaves them. Both follow from
-/// the robots' states alone.
+/// Measures the feet's heights, the IMUs and the height scans again, as a control step leaves them.
+/// All follow from the robots' states alone.
 pub(super) fn measure_states(world: &mut World) -> Result<(), Error> {
     faults::outcome::<(), ()>(world.run_system_cached(feet::measure_feet))?;
-    measure_anew::<Imu>(world)
+    measure_anew::<Imu>(world)?;
+    measure_anew::<HeightScan>(world)
 }
 
 /// Whether all descriptions of joints are those of the present bodies: a body that a caller changes

@@ -555,8 +555,13 @@ impl CompiledTask {
     /// Whether causes of an end hold a failure, see
     /// [`Episode::causes`](crate::components::Episode::causes).
     pub(in crate::systems) fn has_failed(&self, causes: u32) -> bool {
+        self.failures() & causes != 0
+    }
+
+    /// Causes of an end that are failures.
+    pub(super) fn failures(&self) -> u32 {
         let of_terms = self.terminations.iter().enumerate().filter(|(_, term)| !term.time_out);
-        of_terms.fold(1, |failures: u32, (bit, _)| failures | 1 << (bit + 1)) & causes != 0
+        of_terms.fold(1, |failures, (bit, _)| failures | 1 << (bit + 1))
     }
 
     /// Names of the bits of [`Episode::causes`](crate::components::Episode::causes).

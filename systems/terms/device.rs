@@ -5,9 +5,9 @@ use super::compile::{CompiledTask, ILLEGAL_STATE, ObservationTerm};
 use super::registry::Registry;
 use super::spec::TermKind;
 use crate::bounds::MAX_ACTION;
-use crate::config::{EventMode, JointPositionMode};
+use crate::config::{EventMode, HeightScannerConfig, JointPositionMode};
 use crate::engine::device::{
-    AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables,
+    AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables, Tiles,
 };
 use crate::morphology::MorphologyModel;
 use crate::options::Autoreset;
@@ -26,7 +26,7 @@ impl CompiledTask {
         autoreset: Autoreset,
         num_actions: usize,
     ) -> Result<TaskTables, String> {
-        self.check_device(ground)?;
+        self.check_device()?;
         let config = &self.config;
         let find = |kind: FormKind, what: &str, name: &str, params: &toml::Table| {
             registry.form(kind, name, params, robot).ok_or_else(|| format!("the {what} `{name}`"))
@@ -65,6 +65,11 @@ impl CompiledTask {
             column += term.size;
         }
         let (intervals, resets) = self.event_forms(registry, robot)?;
+        let mut curricula = Vec::new();
+        for (name, curriculum) in config.curriculum.iter().filter(|(_, curriculum)| curriculum.enabled) {
+            let term = curriculum.term.as_ref().unwrap_or(name);
+            curricula.push(find(FormKind::Curriculum, "curriculum", term, &curriculum.params)?);
+        }
         let (commands, reset) = (&self.commands[index], &robot.config.reset);
         let single = |range: [f64; 2]| range.map(|x| x as f32);
         let [forward, left, yaw] = self.velocity_ranges[index].base();
@@ -113,6 +118,13 @@ impl CompiledTask {
             ends,
             rewards,
             observations,
+            curricula,
+            failures: self.failures(),
+            tiles: ground
+                .layout
+                .as_ref()
+                .map(|tiles| Tiles { num: [tiles.num_rows, tiles.num_cols], size: tiles.size }),
+            rays: config.sensors.height_scanner.as_ref().map(HeightScannerConfig::rays).unwrap_or_default(),
         }))
     }
 
@@ -137,16 +149,13 @@ impl CompiledTask {
     ///
     /// # Errors
     /// The first thing that has no form on the device.
-    fn check_device(&self, ground: &Ground) -> Result<(), String> {
+    fn check_device(&self) -> Result<(), String> {
         let sensors = &self.config.sensors;
         let lacks = [
-            (ground.terrain.is_some() || ground.layout.is_some(), "uneven ground"),
             (self.config.physics.mirror_links, "physics.mirror_links"),
-            (sensors.height_scanner.is_some(), "sensors.height_scanner"),
             (sensors.ray_caster_camera.is_some(), "sensors.ray_caster_camera"),
             (!self.command_terms.is_empty(), "a command other than the velocity"),
             (!self.reset_body_events.is_empty(), "an event that changes bodies at a reset"),
-            (!self.curriculum.is_empty(), "a curriculum"),
         ];
         lacks.into_iter().find(|(lacks, _)| *lacks).map_or(Ok(()), |(_, what)| Err(what.to_owned()))
     }

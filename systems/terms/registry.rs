@@ -397,6 +397,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |end: &mut EpisodeEnd, rng: &mut EnvRng| f(&p, end, rng)))
         });
+        self.forms.remove(&(FormKind::Curriculum, name));
         self.curriculum.insert(name, build);
     }
 }

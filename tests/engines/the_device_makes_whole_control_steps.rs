@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bevy_app::App;
 use bevy_ecs::prelude::*;
-use polypod::components::{Body, EnvId, LinkForce, LinkForces};
+use polypod::components::{Body, EnvId, EnvOrigin, LinkForce, LinkForces};
 use polypod::dump::Dump;
 use polypod::engine::{DeviceRows, OnDevice, RowsOf};
 use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, add_engine};
@@ -58,6 +58,11 @@ fn assert_same_batch(cpu: &Sim, device: &Sim, what: &str) {
 /// Both make the same steps, to the last bit of their snapshots. From time to time somebody looks,
 /// which brings the state back to the host.
 fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
+    compare_and(options, steps, least_ended, what, |_| {});
+}
+
+/// The same; `watch` sees the one on the CPU after each step.
+fn compare_and(options: SimOptions, steps: usize, least_ended: usize, what: &str, mut watch: impl FnMut(&mut Sim)) {
     let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
     assert_eq!(device.lacks_on_device(), None, "{what}");
     let mut all_ended = 0;
@@ -65,6 +70,7 @@ fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
         step(&mut cpu, t);
         step(&mut device, t);
         all_ended += ended(&cpu);
+        watch(&mut cpu);
         assert_same_batch(&cpu, &device, &format!("{what}, step {t}"));
         let mut commands = [vec![0.0; 3 * cpu.num_envs()], vec![0.0; 3 * cpu.num_envs()]];
         cpu.write_commands(&mut commands[0]);
@@ -72,6 +78,7 @@ fn compare(options: SimOptions, steps: usize, least_ended: usize, what: &str) {
         assert_eq!(bits(&commands[0]), bits(&commands[1]), "{what}, step {t}: commands");
         if t % 31 == 30 {
             assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap(), "{what}, step {t}: a component differs");
+            assert_eq!(bits(&cpu.height_scan()), bits(&device.height_scan()), "{what}, step {t}: height scan");
         }
     }
     assert!(all_ended >= least_ended, "{what}: {all_ended} episodes ended");
@@ -144,6 +151,9 @@ fn that_flow_while_nobody_looks() {
     }
 }
 
+/// Bodies that change at resets, which has no form on the device.
+const CHANGING: &str = "events.randomize_actuator_gains={mode=\"reset\", enabled=true}";
+
 /// A simulation whose engine is to find out what is fastest.
 fn undecided(mut options: SimOptions) -> Sim {
     options.overrides.push("physics.engine=auto".into());
@@ -182,8 +192,9 @@ fn that_are_timed_where_nobody_knows_what_is_fastest() {
     assert_eq!(either.steps_on_device(), 0, "it is known by now");
     assert!(cpu.snapshot().unwrap() == either.snapshot().unwrap());
     // one thing without a form on the device is known before any step
-    let rough = SimOptions { threads: Some(1), ..SimOptions::new("velocity_rough", 24) };
-    let mut either = undecided(rough);
+    let mut changing = SimOptions { threads: Some(1), ..SimOptions::new("velocity_flat", 24) };
+    changing.overrides.push(CHANGING.into());
+    let mut either = undecided(changing);
     for t in 0..50 {
         step(&mut either, t);
     }
@@ -283,6 +294,74 @@ fn of_all_robots_of_the_legged_task() {
     compare(options, size(100, 400), 60, "legged");
 }
 
+/// A task on generated terrain, with pushes so strong that robots leave their tiles.
+fn rough(task: &str, num_envs: usize) -> SimOptions {
+    let mut options = SimOptions { seed: 11, threads: Some(2), ..SimOptions::new(task, num_envs) };
+    let overrides = [
+        "sim.episode_length_s=1.1",
+        "commands.base_velocity.resampling_time_s=0.3",
+        "events.push_robot.interval_range_s=[0.1, 0.3]",
+        "events.push_robot.velocity_range=[-9.0, 9.0]",
+        "scene.terrain.max_init_terrain_level=9",
+    ];
+    options.overrides.extend(overrides.map(String::from));
+    options
+}
+
+/// Levels of all envs.
+fn levels(sim: &mut Sim) -> Vec<u32> {
+    let world = sim.world_mut();
+    let mut of_envs: Vec<(u32, u32)> =
+        world.query::<(&EnvId, &EnvOrigin)>().iter(world).map(|(env, at)| (env.0, at.terrain_level)).collect();
+    of_envs.sort_unstable();
+    of_envs.into_iter().map(|(_, level)| level).collect()
+}
+
+#[test]
+fn of_a_rough_task_whose_levels_change() {
+    let (mut before, mut changes) = (Vec::new(), [0; 3]);
+    compare_and(rough("velocity_rough", 120), size(150, 600), 150, "rough", |sim| {
+        let now = levels(sim);
+        for (&was, &is) in before.iter().zip(&now) {
+            let which = if is > was { 0 } else { 1 };
+            if was == 9 && is + 1 < was {
+                // beyond the hardest one
+                changes[2] += 1;
+            } else if was != is {
+                changes[which] += 1;
+            }
+        }
+        before = now;
+    });
+    assert!(changes[0] > 50 && changes[1] > 3 && changes[2] > 3, "up, down, anywhere: {changes:?}");
+}
+
+#[test]
+fn of_other_uneven_ground() {
+    compare(rough("velocity_rough_legged", 48), 80, 48, "legged");
+    compare(rough("velocity_rough_blind", 24), 80, 24, "blind");
+    let mut obstacles = SimOptions { seed: 2, threads: Some(1), ..SimOptions::new("velocity_obstacles", 32) };
+    let overrides = [
+        "sim.episode_length_s=0.8",
+        "observations.policy=[{term=\"feet_height\", noise=0.02}, {term=\"base_ang_vel\"}]",
+        "rewards.unitree.base_height_l2={weight=-2.0, target_height=0.3}",
+        "rewards.spot.foot_clearance={weight=0.5, std=0.05, tanh_mult=2.0, target_height=0.1}",
+    ];
+    obstacles.overrides.extend(overrides.map(String::from));
+    compare(obstacles, 80, 32, "obstacles");
+    // a scanner above a plane, with heights of the past
+    let mut flat = busy(&["unitree_a1", "anymal_c"], 24);
+    flat.overrides.extend(
+        [
+            "sensors.height_scanner={size=[0.4, 0.3], resolution=0.1}",
+            "observations.policy=[{term=\"height_scan\", history_length=2, offset=0.3}]",
+            "terminations.root_height_below_minimum={minimum_height=0.1}",
+        ]
+        .map(String::from),
+    );
+    compare(flat, 60, 12, "flat");
+}
+
 #[test]
 fn of_bodies_that_describe_themselves_joint_by_joint() {
     let options = |task: &str| {
@@ -377,8 +456,12 @@ fn with_terms_that_few_tasks_use() {
 
 #[test]
 fn whatever_resets_the_envs() {
-    for autoreset in [Autoreset::NextStep, Autoreset::Disabled] {
-        let options = SimOptions { autoreset, ..busy(&["unitree_a1"], 40) };
+    for (autoreset, options) in [
+        (Autoreset::NextStep, busy(&["unitree_a1"], 40)),
+        (Autoreset::Disabled, busy(&["unitree_a1"], 40)),
+        (Autoreset::NextStep, rough("velocity_rough", 40)),
+    ] {
+        let options = SimOptions { autoreset, ..options };
         let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
         for t in 0..80 {
             for sim in [&mut cpu, &mut device] {
@@ -438,9 +521,10 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
         assert_eq!(sim.steps_on_device(), 0, "{task}");
         sim.lacks_on_device().unwrap()
     };
-    assert_eq!(lacks("velocity_rough", &[]), "uneven ground");
-    let gains = ["events.randomize_actuator_gains={mode=\"reset\", enabled=true}"];
-    assert_eq!(lacks("velocity_flat", &gains), "an event that changes bodies at a reset");
+    assert_eq!(lacks("velocity_flat", &[CHANGING]), "an event that changes bodies at a reset");
+    let widens = "curriculum.command_curriculum={reward_terms=[\"track_lin_vel_xy_exp\", \"base_linear_velocity\"], \
+                  lin_vel_x=[-2.0, 2.0]}";
+    assert_eq!(lacks("velocity_flat", &[widens]), "the curriculum `command_curriculum`");
     let pose = ["commands.pose={}", "observations.policy=[{term=\"pose_commands\"}]"];
     assert_eq!(lacks("velocity_flat", &pose), "a command other than the velocity");
     // a user's system sees the components of every step

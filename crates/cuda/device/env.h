@@ -23,6 +23,7 @@ typedef struct {
     unsigned flags;
     /* what sensors read */
     float linear[3], angular[3], gravity[3];
+    float ground; /* below the base, see base_height */
     float total; /* reward of the step */
 } Env;
 
@@ -35,6 +36,12 @@ typedef struct {
 #define DRIVE(name, i) (v->drive[T(name) + (i)])
 #define REPORT(name, i) (a->r[T(name) + (i)])
 #define HAS(bit) ((v->flags & (bit)) != 0)
+/* half the side of the square above whose highest ground a robot begins, and the distance below which it
+ * is placed, m */
+#define FOOTPRINT 0.5f
+#define PLACE_TOLERANCE 1e-4f
+/* rays whose heights are on their way together */
+#define RAYS_TOGETHER 8
 #define TIME(which, foot) X(K(X_TIME) + (which) * K(K_FEET) + (foot))
 
 /* rand_pcg's Pcg32 */
@@ -175,6 +182,44 @@ FN void read_imu(Env *v) {
         v->gravity[k] = down;
     }
 }
+/* the ground below a place about the env's origin */
+FN float height_below(const Env *v, float x, float y) {
+    const Robot *a = v->a;
+    Sample found;
+    if (!T(HAS_GRID)) return F(F_HEIGHT);
+    terrain_sample(a, x, y, &found);
+    return found.height;
+}
+/* sense/height_scan.rs, and the mean of the heights */
+FN void scan_ground(Env *v) {
+    const Robot *a = v->a;
+    int rays = K(K_RAYS);
+    const float *q = &STATE(S_ROTATION, 0);
+    float x = STATE(S_POSITION, 0), y = STATE(S_POSITION, 1), sum = -0.0f;
+    if (!rays) {
+        v->ground = height_below(v, x, y);
+        return;
+    }
+    float c = 1.0f - 2.0f * (q[2] * q[2] + q[3] * q[3]), s = 2.0f * (q[1] * q[2] + q[0] * q[3]);
+    float size = sqrtf(c * c + s * s);
+    int has_heading = size > 1e-6f;
+    c = has_heading ? c / size : 1.0f;
+    s = has_heading ? s / size : 0.0f;
+    ROLLED for (int ray = 0; ray < rays; ray += RAYS_TOGETHER) {
+        float heights[RAYS_TOGETHER];
+        UNROLLED for (int k = 0; k < RAYS_TOGETHER; k++) {
+            int at = K(K_RAY) + 2 * (ray + k < rays ? ray + k : rays - 1);
+            float along = F(at), across = F(at + 1);
+            heights[k] = height_below(v, x + (c * along - s * across), y + (s * along + c * across));
+        }
+        UNROLLED for (int k = 0; k < RAYS_TOGETHER; k++) {
+            if (ray + k >= rays) break;
+            X(K(X_SCAN) + ray + k) = heights[k];
+            sum += heights[k];
+        }
+    }
+    v->ground = sum / (float)rays;
+}
 /* sense/contact.rs */
 FN float peak_force(const Env *v, int body) {
     const Robot *a = v->a;
@@ -241,7 +286,13 @@ FN int count_contacts(const Env *v, int form) {
 }
 FN float base_height(const Env *v) {
     const Robot *a = v->a;
-    return STATE(S_POSITION, 2) - F(F_HEIGHT);
+    return STATE(S_POSITION, 2) - v->ground;
+}
+/* sense/feet.rs */
+FN float foot_height(const Env *v, int foot) {
+    const Robot *a = v->a;
+    const float *at = &REPORT(R_SITE_POSITION, 3 * foot);
+    return at[2] - height_below(v, at[0], at[1]);
 }
 FN int ends(const Env *v, int form) {
     int at = K(form + FORM_NUMBERS);
@@ -389,10 +440,9 @@ FN float variance_of_times(const Env *v, int which, float most) {
     return of_squares / larger(n - 1.0f, 1.0f);
 }
 FN float foot_clearance(const Env *v, int at) {
-    const Robot *a = v->a;
     float error = -0.0f;
     ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
-        float height = REPORT(R_SITE_POSITION, 3 * foot + 2) - F(F_HEIGHT) - F(at + 2);
+        float height = foot_height(v, foot) - F(at + 2);
         error += height * height * tanh_positive(F(at + 1) * foot_speed(v, foot));
     }
     return exp_(-error / F(at));
@@ -546,9 +596,11 @@ FN float observed(const Env *v, int term, int i) {
     case OBSERVATION_BASE_ANG_VEL: return v->angular[i];
     case OBSERVATION_PROJECTED_GRAVITY: return v->gravity[i];
     case OBSERVATION_VELOCITY_COMMANDS: return X(K(X_COMMAND) + i);
+    case OBSERVATION_HEIGHT_SCAN:
+        return STATE(S_POSITION, 2) - F(K(term + FORM_NUMBERS) + FILTER_SIZE) - X(K(X_SCAN) + i);
     case OBSERVATION_LAST_ACTION: return X(K(X_ACTION) + i);
     case OBSERVATION_FEET_AIR_TIME: return TIME(1, i);
-    case OBSERVATION_FEET_HEIGHT: return REPORT(R_SITE_POSITION, 3 * i + 2) - F(F_HEIGHT);
+    case OBSERVATION_FEET_HEIGHT: return foot_height(v, i);
     case OBSERVATION_FEET_CONTACT_FORCE: slot = K(K_FOOT) + i; return peak_force(v, K(slot));
     case OBSERVATION_KEPT_OF_JOINTS:
     case OBSERVATION_KEPT: return X(K(X_KEPT) + K(K(term + FORM_INTEGERS)) + i);
@@ -664,26 +716,73 @@ FN void change_new_state(Env *v, int form) {
     }
     }
 }
-/* place.rs: height of the robot's lowest point above the base's origin */
-FN float lowest_point(const Robot *a, const float *up) {
-    float lowest = 3.40282347e38f, r[9], at[3], t[3], own[3];
-    ROLLED for (int contact = 0; contact < T(CONTACTS); contact++) {
-        int list = T(T_CONTACT) + contact * CONTACT_SIZE, link = LINK(L(list));
-        w_load(a, link, 9, r);
-        w_load(a, link + LINK_POSITION, 3, at);
-        p_load(a, P_CONTACT_POSITION, 3 * contact, 3, t);
-        mul_vec(r, t, t);
-        add(at, t, at);
-        float below = P(P_CONTACT_RADIUS, contact);
-        if (L(list + 2)) {
-            const float *e = C(T(C_RIM) + contact * RIM_SIZE);
-            mul_vec_transposed(r, up, own);
-            float c = dot(e, own), s = dot(e + 3, own);
-            below += P(P_CONTACT_RIM, contact) * sqrtf(fma_(c, c, s * s));
-        }
-        lowest = smaller(lowest, dot(up, at) - below);
+/* curriculum.rs: the level of the next episode */
+FN void move_to_level(Env *v, int form) {
+    const Robot *a = v->a;
+    int at = K(form + FORM_NUMBERS), command = K(X_COMMAND);
+    unsigned level = U(U_LEVEL), rows = (unsigned)K(K_TILES), left = 0, longest = (unsigned)K(K_LONGEST);
+    if (!rows) return;
+    /* the time that a fall cuts off counts as the robot's */
+    if (((unsigned)K(K_FAILURES) & U(U_CAUSES)) && longest > U(U_LENGTH)) left = longest - U(U_LENGTH);
+    float lived = (float)U(U_LIVED) * F(F_STEP), given = (float)(U(U_LIVED) + left) * F(F_STEP);
+    float walked = length(STATE(S_POSITION, 0), STATE(S_POSITION, 1));
+    float asked = length(X(command), X(command + 1)) * given;
+    if (walked > 0.5f * F(F_TILE))
+        level = level + 1;
+    else if (walked < asked * F(at) && lived >= F(at + 1))
+        level = level > 0 ? level - 1 : 0;
+    else
+        return;
+    if (level >= rows) level = (unsigned)steps_between(v, 0, rows - 1);
+    U(U_LEVEL) = level;
+    for (int d = 0; d < 2; d++) {
+        float tile = (float)(d ? U(U_COLUMN) : level);
+        X(K(X_ORIGIN) + d) = (tile + 0.5f - 0.5f * (float)K(K_TILES + d)) * F(F_TILE + d);
+        DRIVE(D_ORIGIN, d) = X(K(X_ORIGIN) + d);
     }
+}
+/* place.rs: height of a contact candidate's lowest point above the base's origin, and its centre */
+FN float lowest_of(const Robot *a, int contact, const float *up, float *centre) {
+    int list = T(T_CONTACT) + contact * CONTACT_SIZE, link = LINK(L(list));
+    float r[9], at[3], own[3];
+    w_load(a, link, 9, r);
+    w_load(a, link + LINK_POSITION, 3, at);
+    p_load(a, P_CONTACT_POSITION, 3 * contact, 3, centre);
+    mul_vec(r, centre, centre);
+    add(at, centre, centre);
+    float below = P(P_CONTACT_RADIUS, contact);
+    if (L(list + 2)) {
+        const float *e = C(T(C_RIM) + contact * RIM_SIZE);
+        mul_vec_transposed(r, up, own);
+        float c = dot(e, own), s = dot(e + 3, own);
+        below += P(P_CONTACT_RIM, contact) * sqrtf(fma_(c, c, s * s));
+    }
+    return dot(up, centre) - below;
+}
+FN float lowest_point(const Robot *a, const float *up) {
+    float lowest = 3.40282347e38f, centre[3];
+    ROLLED for (int contact = 0; contact < T(CONTACTS); contact++)
+        lowest = smaller(lowest, lowest_of(a, contact, up, centre));
     return lowest;
+}
+/* Lifts the base onto the highest ground about it; returns the height that is missing there. */
+FN float missing_on_grid(const Env *v, const float *r) {
+    const Robot *a = v->a;
+    float at[2], centre[3], missing = -3.40282347e38f;
+    for (int d = 0; d < 2; d++) at[d] = D(T(D_ORIGIN) + d) + STATE(S_POSITION, d);
+    float highest = highest_near(a, at[0], at[1], FOOTPRINT);
+    STATE(S_POSITION, 2) = STATE(S_POSITION, 2) + (highest - F(F_HEIGHT));
+    float least = F(F_MARGIN) - STATE(S_POSITION, 2);
+    ROLLED for (int contact = 0; contact < T(CONTACTS); contact++) {
+        float low = lowest_of(a, contact, r + 6, centre), x = dot(r, centre), y = dot(r + 3, centre);
+        float reach = P(P_CONTACT_RADIUS, contact) + P(P_CONTACT_RIM, contact);
+        int is_within = larger(fabsf(x), fabsf(y)) + reach <= FOOTPRINT;
+        /* most candidates are above all ground around them */
+        float bound = is_within ? highest : TC(GRID_HIGHEST);
+        if (least + bound - low > larger(PLACE_TOLERANCE, missing))
+            missing = larger(missing, least + highest_near(a, at[0] + x, at[1] + y, reach) - low);
+    }
+    return missing;
 }
 FN void place_robot(Env *v) {
     Robot *a = v->a;
@@ -693,8 +792,9 @@ FN void place_robot(Env *v) {
     copy(base, &STATE(S_ANGULAR, 0), 3);
     mul_vec_transposed(r, &STATE(S_LINEAR, 0), base + 3);
     forward_kinematics(a, base);
-    float missing = F(F_MARGIN) - (STATE(S_POSITION, 2) + lowest_point(a, r + 6) - F(F_HEIGHT));
-    if (missing > 1e-4f) STATE(S_POSITION, 2) = STATE(S_POSITION, 2) + missing;
+    float missing = T(HAS_GRID) ? missing_on_grid(v, r)
+                                : F(F_MARGIN) - (STATE(S_POSITION, 2) + lowest_point(a, r + 6) - F(F_HEIGHT));
+    if (missing > PLACE_TOLERANCE) STATE(S_POSITION, 2) = STATE(S_POSITION, 2) + missing;
     S(T(S_POSITION) + 2) = STATE(S_POSITION, 2);
     report_sites(a);
 }
@@ -705,6 +805,8 @@ FN void clear_report(const Robot *a) {
 }
 FN void reset(Env *v) {
     const Robot *a = v->a;
+    if (U(U_LIVED) > 0)
+        ROLLED for (int i = 0; i < K(K_NUM_CURRICULA); i++) move_to_level(v, K(K_CURRICULUM) + i * FORM_SIZE);
     STATE(S_POSITION, 0) = STATE(S_POSITION, 1) = 0.0f;
     STATE(S_POSITION, 2) = X(K(X_SPAWN));
     STATE(S_ROTATION, 0) = 1.0f;
@@ -734,6 +836,7 @@ FN void reset(Env *v) {
     v->flags |= FRESH | FRESH_TARGETS;
     place_robot(v);
     read_imu(v);
+    scan_ground(v);
 }
 FN int is_due(const Env *v) {
     int mode = K(K_AUTORESET);
@@ -776,6 +879,7 @@ FN void write_ended(const Env *v, int env, unsigned *to) {
     to[1] = v->flags;
     to[2] = U(U_CAUSES);
     to[3] = U(U_STEPS);
+    to[4] = U(U_LEVEL);
     ROLLED for (int i = 0; i < TOTALS + K(K_NUM_REWARDS); i++) {
         word.number = i < TOTALS ? X(K(X_TOTAL) + i) : X(K(X_SUM) + i - TOTALS);
         to[ENDED_SIZE + i] = word.bits;
@@ -793,6 +897,7 @@ FN unsigned after_physics(Env *v, int env, unsigned *ended) {
         broken = BROKEN;
     }
     read_imu(v);
+    scan_ground(v);
     count_times(v);
     terminate(v);
     reward(v);

@@ -16,6 +16,8 @@
 #define UNROLLED _Pragma("unroll")
 /* of loops over joints that wait for memory */
 #define BY_THREE _Pragma("unroll 3")
+/* of loops that wait for memory and do little else */
+#define BY_EIGHT _Pragma("unroll 8")
 /* of memory that no robot writes */
 #define READ(at) __ldg(at)
 #define TABLE static __constant__ const
@@ -37,6 +39,7 @@
 #define ROLLED
 #define UNROLLED
 #define BY_THREE
+#define BY_EIGHT
 #define READ(at) (*(at))
 #define TABLE static const
 #ifndef LANES

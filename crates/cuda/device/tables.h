@@ -97,13 +97,17 @@ enum Size {
  * begin. Lists of terms have entries of FORM_SIZE integers. */
 enum Task {
     K_SLOTS, K_ACTIONS, K_OBSERVED, K_FEET, K_AUTORESET, K_HAS_COMMAND, K_HEADING_COMMAND, K_LONGEST, K_SCALES, K_REMEMBERS,
-    K_NUM_DELAYS, K_NUM_INTERVALS, K_NUM_RESETS, K_NUM_ENDS, K_NUM_REWARDS, K_NUM_TERMS,
+    K_NUM_DELAYS, K_NUM_INTERVALS, K_NUM_RESETS, K_NUM_ENDS, K_NUM_REWARDS, K_NUM_TERMS, K_NUM_CURRICULA,
+    /* bits of the causes that are failures; tiles along x and y; rays of the height scanner, and where they are
+     * in the table of numbers */
+    K_FAILURES, K_TILES, K_RAYS = K_TILES + 2, K_RAY,
     /* lists: slots, contact bodies that are feet, their columns, groups of contact bodies, actuator delays, terms */
     K_SLOT, K_FOOT, K_FOOT_COLUMN, K_GROUP, K_DELAY, K_INTERVAL, K_RESET, K_END, K_REWARD, K_TERM,
-    /* columns of an env: its actions, command, timers, sums, times of its feet, stance, mass, and
-     * numbers that observations show */
+    K_CURRICULUM,
+    /* columns of an env: its actions, command, timers, sums, times of its feet, stance, mass, place of
+     * its origin, numbers that observations show, and heights below the rays */
     X_ACTION, X_PREVIOUS, X_COMMAND, X_TIMER, X_SUM, X_TOTAL, X_TIME, X_DEFAULT, X_SCALE, X_SPAWN, X_MASS,
-    X_KEPT,
+    X_ORIGIN, X_KEPT, X_SCAN,
     NUM_TASK
 };
 
@@ -113,7 +117,7 @@ enum TaskNumber {
     F_HEADING = F_RANGE + 6, F_STIFFNESS = F_HEADING + 2, F_HEADING_SHARE, F_STANDING_SHARE, F_TURNING_SHARE,
     F_SIDEWAYS_SHARE, F_RESAMPLING, F_MARGIN, F_SOFT, F_BASE_VELOCITY, F_JOINT_POSITION = F_BASE_VELOCITY + 2,
     F_JOINT_VELOCITY = F_JOINT_POSITION + 2, F_MAX_ACTION = F_JOINT_VELOCITY + 2,
-    NUM_TASK_NUMBERS = F_MAX_ACTION + 1
+    F_TILE, NUM_TASK_NUMBERS = F_TILE + 2
 };
 
 /* Sizes and places of a task's lists and of an env's columns. */
@@ -129,13 +133,14 @@ enum TaskSize {
     TOTALS = 6,      /* reward, errors of velocity and yaw rate, commanded ones, speed */
     TIMES = 4,       /* of each foot: contact, air, last contact, last air */
     /* columns of integers of an env */
-    U_STATE = 0, U_INCREMENT = 2, U_LENGTH = 4, U_LIVED, U_CAUSES, U_STEPS, U_FLAGS, NUM_WORDS,
+    U_STATE = 0, U_INCREMENT = 2, U_LENGTH = 4, U_LIVED, U_CAUSES, U_STEPS, U_FLAGS,
+    U_LEVEL, U_COLUMN, NUM_WORDS,
     /* bits of its flags */
     TERMINATED = 1, TRUNCATED = 2, NEEDS_RESET = 4, INVALID = 8, LOGGED = 16, FRESH = 32, FRESH_TARGETS = 64,
     HOLDS_HEADING = 128, STANDING = 256, PINNED = 512, HAS_FINAL = 1024, BROKEN = 2048, BAD_ACTION = 4096,
     AT_SAME_STEP = 0, AT_NEXT_STEP = 1, NEVER = 2,
-    /* an episode that ended: env, flags, causes, steps; then its totals and the sums of its terms */
-    ENDED_SIZE = 4
+    /* an episode that ended: env, flags, causes, steps, level; then its totals and the sums of its terms */
+    ENDED_SIZE = 5
 };
 
 /* Terms that have a form on the device. */
@@ -144,6 +149,7 @@ enum Reset {
     RESET_RESET_BASE, RESET_RESET_JOINTS, RESET_RESET_JOINTS_WITHIN_LIMITS_RANGE, RESET_BASE_EXTERNAL_FORCE_TORQUE,
     RESET_ACTION_DELAY
 };
+enum Curriculum { CURRICULUM_TERRAIN_LEVELS };
 enum End {
     END_TIME_OUT, END_BASE_CONTACT, END_ILLEGAL_CONTACT, END_BAD_ORIENTATION, END_ROOT_HEIGHT_BELOW_MINIMUM
 };
@@ -160,7 +166,7 @@ enum Reward {
 };
 enum Observation {
     OBSERVATION_BASE_LIN_VEL, OBSERVATION_BASE_ANG_VEL, OBSERVATION_PROJECTED_GRAVITY,
-    OBSERVATION_VELOCITY_COMMANDS,
+    OBSERVATION_VELOCITY_COMMANDS, OBSERVATION_HEIGHT_SCAN,
     /* a number of each foot */
     OBSERVATION_FEET_CONTACT_FORCE, OBSERVATION_FEET_AIR_TIME, OBSERVATION_FEET_HEIGHT,
     /* numbers of each joint */

@@ -48,6 +48,26 @@ FN void terrain_sample(const Robot *a, float x, float y, Sample *o) {
     o->height = o->a + o->along_x * o->u + o->along_y * o->v;
 }
 
+/* The cell of a coordinate. */
+FN int cell_of(const Robot *a, float x, int axis) {
+    float within;
+    return split_place((x - C(GRID_ORIGIN + axis)[0]) / TC(GRID_CELL), L(GRID_SIZE + axis), &within);
+}
+
+/* The largest height of the points within a square about a place of the grid, m. */
+FN float highest_near(const Robot *a, float x, float y, float half) {
+    int last = cell_of(a, x + half, 0) + 1, begin = cell_of(a, y - half, 1), end = cell_of(a, y + half, 1) + 2;
+    float highest = -3.40282347e38f;
+    ROLLED for (int i = cell_of(a, x - half, 0); i <= last; i++) {
+        const float *row = a->grid + (size_t)i * L(GRID_SIZE + 1);
+        BY_EIGHT for (int j = begin; j < end; j++) {
+            float height = READ(row + j);
+            highest = height > highest ? height : highest;
+        }
+    }
+    return highest;
+}
+
 FN float slope_of(const Robot *a, float rise) {
     float slope = rise / TC(GRID_CELL);
     if (slope < -MAX_SLOPE) slope = -MAX_SLOPE;

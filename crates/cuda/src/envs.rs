@@ -66,11 +66,14 @@ pub enum FormKind {
     Reward,
     /// Observations.
     Observation,
+    /// Curricula.
+    Curriculum,
 }
 
 impl FormKind {
     /// All sorts.
-    pub const ALL: [Self; 5] = [Self::Interval, Self::Reset, Self::End, Self::Reward, Self::Observation];
+    pub const ALL: [Self; 6] =
+        [Self::Interval, Self::Reset, Self::End, Self::Reward, Self::Observation, Self::Curriculum];
 
     /// The prefix of their names in `device/tables.h`, and the names.
     fn places(self) -> (&'static str, &'static [(&'static str, usize)]) {
@@ -80,6 +83,7 @@ impl FormKind {
             Self::End => ("END", END_PLACES),
             Self::Reward => ("REWARD", REWARD_PLACES),
             Self::Observation => ("OBSERVATION", OBSERVATION_PLACES),
+            Self::Curriculum => ("CURRICULUM", CURRICULUM_PLACES),
         }
     }
 
@@ -169,6 +173,15 @@ pub enum AutoresetForm {
     Never,
 }
 
+/// Tiles of generated terrain.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Tiles {
+    /// Number along x and y.
+    pub num: [u32; 2],
+    /// Edge lengths of a tile, m.
+    pub size: [f32; 2],
+}
+
 /// A task for the robots of a block.
 #[derive(Clone, Debug)]
 pub struct TaskForm {
@@ -230,6 +243,14 @@ pub struct TaskForm {
     pub rewards: Vec<RewardForm>,
     /// Observations.
     pub observations: Vec<ObservationForm>,
+    /// Curricula, which change an env when its episode ends.
+    pub curricula: Vec<Form>,
+    /// Bits of an end's causes that are failures.
+    pub failures: u32,
+    /// Tiles of the ground, if it is generated.
+    pub tiles: Option<Tiles>,
+    /// Rays of the height scanner, x and y about the base, m.
+    pub rays: Vec<[f32; 2]>,
 }
 
 /// Tables of a task for a block, and the sizes of its columns and rows.
@@ -308,6 +329,8 @@ impl TaskTables {
             (K_NUM_ENDS, task.ends.len()),
             (K_NUM_REWARDS, task.rewards.len()),
             (K_NUM_TERMS, task.observations.len()),
+            (K_NUM_CURRICULA, task.curricula.len()),
+            (K_RAYS, task.rays.len()),
         ] {
             lists.integers[name] = whole(number);
         }
@@ -324,11 +347,17 @@ impl TaskTables {
             (X_SCALE, 1),
             (X_SPAWN, 1),
             (X_MASS, 1),
+            (X_ORIGIN, 2),
             (X_KEPT, task.kept),
+            (X_SCAN, task.rays.len()),
         ] {
             lists.integers[name] = whole(next);
             next += size;
         }
+        let tiles = task.tiles.unwrap_or_default();
+        lists.integers[K_TILES..K_TILES + 2].copy_from_slice(&tiles.num.map(|number| whole(number as usize)));
+        lists.integers[K_FAILURES] = task.failures.cast_signed();
+        lists.integers[K_RAY] = lists.place(task.rays.as_flattened());
         let ([down, fall], [heading, standing, turning, sideways]) =
             ([task.gravity.0, [task.gravity.1; 3]], task.shares);
         for (name, numbers) in [
@@ -347,6 +376,7 @@ impl TaskTables {
             (F_SOFT, &[task.soft]),
             (F_BASE_VELOCITY, task.reset_ranges.as_flattened()),
             (F_MAX_ACTION, &[task.max_action]),
+            (F_TILE, &tiles.size),
         ] {
             lists.numbers[name..name + numbers.len()].copy_from_slice(numbers);
         }
@@ -385,6 +415,8 @@ impl TaskTables {
             terms.push(lists.entry(&term.form, &filter, [term.column, term.size, term.memory].map(whole)));
         }
         lists.list(K_TERM, terms.as_flattened());
+        let curricula: Vec<_> = task.curricula.iter().map(|form| lists.entry(form, &[], [0; 3])).collect();
+        lists.list(K_CURRICULUM, curricula.as_flattened());
         let ended = ENDED_SIZE + TOTALS + task.rewards.len();
         let widths = [task.widths[0], task.widths[1], ended];
         Self { integers: lists.integers, numbers: lists.numbers, columns: next, widths }
@@ -464,6 +496,8 @@ pub enum Column {
     Default,
     /// Action scale, spawn height and total mass.
     Stance,
+    /// Place of the env's origin, x and y.
+    Origin,
     /// Numbers that observations show for a whole episode.
     Kept,
 }
@@ -480,6 +514,7 @@ impl Column {
             Self::Time => X_TIME,
             Self::Default => X_DEFAULT,
             Self::Stance => X_SCALE,
+            Self::Origin => X_ORIGIN,
             Self::Kept => X_KEPT,
         }
     }
@@ -502,6 +537,10 @@ pub enum Word {
     Steps,
     /// See [`flags`].
     Flags,
+    /// Row of the env's tile.
+    TileRow,
+    /// Column of its tile.
+    TileColumn,
 }
 
 impl Word {
@@ -514,6 +553,8 @@ impl Word {
             Self::Causes => U_CAUSES,
             Self::Steps => U_STEPS,
             Self::Flags => U_FLAGS,
+            Self::TileRow => U_LEVEL,
+            Self::TileColumn => U_COLUMN,
         }
     }
 }
@@ -598,6 +639,8 @@ pub struct Ended {
     pub causes: u32,
     /// Control steps that were summed.
     pub steps: u32,
+    /// Row of the tile on which it was, if the ground has tiles.
+    pub level: u32,
     /// Sums as in [`Column::Total`].
     pub totals: [f32; TOTALS],
     /// Sum of each reward term.
@@ -632,7 +675,7 @@ impl<'a> Told<'a> {
         let words = &self.ended[env * size..(env + 1) * size];
         let mut numbers = words[ENDED_SIZE..].iter().map(|&word| f32::from_bits(word));
         let totals = std::array::from_fn(|_| numbers.next().unwrap_or_default());
-        Ended { flags: words[1], causes: words[2], steps: words[3], totals, terms: numbers.collect() }
+        Ended { flags: words[1], causes: words[2], steps: words[3], level: words[4], totals, terms: numbers.collect() }
     }
 }
 

@@ -17,7 +17,7 @@ pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
 pub use driver::{Card, Found, find};
 pub use envs::{
     AutoresetForm, Column, Delay, DeviceRows, Ended, EnvHost, EnvParts, EnvRows, Flow, Form, FormKind, ObservationForm,
-    RewardForm, RowSizes, RowsMemory, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Told, Word, flags,
+    RewardForm, RowSizes, RowsMemory, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Tiles, Told, Word, flags,
 };
 pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};
