@@ -45,6 +45,9 @@ CELL = 0.1
 """Distance of these heights, m."""
 HIGH = 100.0
 """Height from which they are looked for, m."""
+STABLE = 1.0
+"""Largest product of step, damping and inverse inertia of joints that the policy's gains drive; from
+2 an explicit integrator shakes them."""
 _LEVEL = 1e-6
 """Heights that differ by less count as equal, m."""
 
@@ -126,6 +129,7 @@ class Model:
         """Whether geoms belong to the world, [geoms]."""
         self._set_options()
         self._set_actuators()
+        self._set_step()
         self._set_contacts()
         self.heights = self._ground()
 
@@ -372,6 +376,31 @@ class Model:
             if np.isfinite([low, high]).all():
                 model.actuator_forcelimited[own] = 1
                 model.actuator_forcerange[own] = [low, high]
+
+    def _set_step(self) -> None:
+        """Shortens the file's step where the policy's damping would shake light joints.
+
+        An explicit integrator doubles a joint's speed where step, damping and the inverse of its
+        inertia multiply to more than 2; some files leave a program to add the inertia of rotors.
+        """
+        model, mj = self.model, self._mj
+        implicit = (int(mj.mjtIntegrator.mjINT_IMPLICIT), int(mj.mjtIntegrator.mjINT_IMPLICITFAST))
+        is_ours = self.is_policys | np.array([own is not None and self._kinds[own] == "motor" for own in self._own])
+        if self.choices.dt is not None or int(model.opt.integrator) in implicit or not is_ours.any():
+            return
+        data = mj.MjData(model)
+        mj.mj_forward(model, data)
+        inverse = np.zeros((model.nv, model.nv))
+        mj.mj_solveM(model, data, inverse, np.eye(model.nv))
+        dofs, roots = self.v[6:][is_ours], np.sqrt(self.robot.actuators.damping[is_ours])
+        rate = float(np.linalg.eigvalsh(roots[:, None] * inverse[np.ix_(dofs, dofs)] * roots)[-1])
+        parts = int(np.ceil(self.dt * rate / STABLE))
+        if parts > 1:
+            model.opt.timestep = self.dt / parts
+            self.notes.append(
+                f"the policy's damping would shake light joints in the file's steps of {self.dt * parts:g} s: they are "
+                f"{self.dt:.3g} s; --dt gives others"
+            )
 
     def effort_ranges(self) -> Array:
         """Least and most force of the model's own actuators, [joints, 2].

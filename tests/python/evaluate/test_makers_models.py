@@ -2,6 +2,7 @@
 
 import functools
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -408,6 +409,27 @@ def test_a_policy_of_descriptions_is_told_the_models_gains(tmp_path, a1, actuato
     assert told.interface_on(model, flat.interface) == (flat.interface, None)
     assert flat.told(model) == []
     assert stage.told(model) == ([] if line is None else [line])
+
+
+@pytest.mark.parametrize(
+    ("choices", "is_shorter"),
+    [({}, True), ({"dt": 0.002}, False), ({"integrator": "implicitfast"}, False), ({"actuators": "motors"}, False)],
+)
+def test_the_policys_damping_shakes_no_light_joint(tmp_path, choices, is_shorter):
+    """A file that leaves out the rotors has feet and hands too light for explicit steps of 2 ms."""
+    text = twin_as_mjcf("unitree_g1", physics=Physics(dt=0.002, integrator="Euler"))
+    file = written(tmp_path, re.sub(r' armature="[^"]*"', "", edited(text, drop=("actuator",))))
+    model = model_of(file, "unitree_g1", **choices)
+    assert (model.dt < 0.002) == is_shorter == any("light joints" in note for note in model.notes)
+    data = model.data_of(np.array([0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, *np.zeros(29)]))
+    speed = 0.01
+    data.qvel[model.v[6:]] = speed
+    model.model.actuator_forcerange[:] = [-1e3, 1e3]
+    for _ in range(round(0.05 / model.dt)):
+        data.ctrl[model.actuators] = data.qpos[model.q[7:]]
+        mujoco.mj_step(model.model, data)
+    grows = np.abs(data.qvel[model.v[6:]]).max() > 10.0 * speed
+    assert grows == (choices == {"dt": 0.002})
 
 
 def test_contacts_and_motors_are_as_asked(tmp_path, a1):
