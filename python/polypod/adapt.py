@@ -30,8 +30,10 @@ from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_l
 from polypod.training.report import Iteration, Reporter, walking_cells
 from polypod.training.workers import Workers
 
-TRAIN_CONFIG, ON_GPU, SEPARATE = "adapt", "adapt_on_gpu", "adapt_separate"
-"""Train configs: on a CPU, with a GPU, and for a separate network of the robot."""
+TRAIN_CONFIG, ON_GPU = "adapt", "adapt_on_gpu"
+"""Train configs: on a CPU, and with a GPU."""
+SEPARATE, SEPARATE_ON_GPU = "adapt_separate", "adapt_separate_on_gpu"
+"""Train configs of a separate network of the robot."""
 CRITIC_WARMUP = 10
 """Iterations in which a new critic learns before the policy moves."""
 HOPELESS = 0.5
@@ -71,8 +73,7 @@ class Options:
     every: int | None = None
     """Iterations between two measurements; None: `EVERY`, or `EVERY_SEPARATE`."""
     train_config: str | None = None
-    """None: `adapt` on a CPU, `adapt_on_gpu` with a GPU, `adapt_separate` for a separate
-    network."""
+    """None: `adapt`, of a separate network `adapt_separate`; with a GPU these and `_on_gpu`."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
     or a stop, the robot has two legs or a GPU is there, and neither checkpoint nor neighbours are
@@ -124,6 +125,8 @@ class Result:
     """The signal that ended it."""
     unfinished: Path | None = None
     """Best checkpoint of a separate network that does not beat the policy yet."""
+    separate_config: str = SEPARATE
+    """Train config with which that network goes on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,7 +207,19 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         after = _measured(best, None, [], options)
     if goal.best.checkpoint != last:
         run_dir.remove_checkpoint(last)
-    return Result(name, robot, best, before, after, goal.walked, goal.points, _minutes(began), stopped_by, unfinished)
+    return Result(
+        name,
+        robot,
+        best,
+        before,
+        after,
+        goal.walked,
+        goal.points,
+        _minutes(began),
+        stopped_by,
+        unfinished,
+        _separate_config(options),
+    )
 
 
 def _start(options: Options, run: Path, reporter: Reporter) -> Start:
@@ -363,10 +378,15 @@ def _is_alone(options: Options, robot: str) -> bool:
     return not is_bound and (_has_gpu(options) or _set_of_two_legs(robot) is not None)
 
 
+def _separate_config(options: Options) -> str:
+    """Name of the train config of a separate network."""
+    return SEPARATE_ON_GPU if _has_gpu(options) else SEPARATE
+
+
 def _own_train_config(options: Options) -> TrainConfig:
     """The settings of a separate network."""
     _, of_training = config.split_overrides(options.overrides)
-    return config.load(options.train_config or SEPARATE, of_training)
+    return config.load(options.train_config or _separate_config(options), of_training)
 
 
 def _train_config(
@@ -466,7 +486,7 @@ def verdict(result: Result) -> str:
     else:
         next_step = (
             "the separate network does not beat it yet; go on with  "
-            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {SEPARATE}"
+            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {result.separate_config}"
         )
     return (
         f"{result.name}: {end} after {spent}; {why or 'it walks with one of two seeds'}. The best policy is {shown}; "

@@ -311,14 +311,15 @@ def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_p
     (unfinished,) = run.glob("model_*.pt")
     text = " ".join(done.stdout.split())
     assert "The best policy is legged; the separate network does not beat it yet" in text
-    go_on = f"polypod adapt unitree_h1 --checkpoint {unfinished.relative_to(tmp_path)} --train-config adapt_separate"
+    model = unfinished.relative_to(tmp_path)
+    go_on = f"polypod adapt unitree_h1 --checkpoint {model} --train-config adapt_separate_on_gpu"
     assert text.endswith(go_on)
     # as the command says, but for the size of the training
     measured(falls, FIGURES, FIGURES)
     words = go_on.split()[1:-2]
     done = cli(*words, *FLAGS)
     assert done.returncode == 0, done.stderr
-    assert f"begins with {unfinished.relative_to(tmp_path)}" in " ".join(done.stdout.split())
+    assert f"begins with {model}" in " ".join(done.stdout.split())
 
 
 def test_a_network_that_goes_on_keeps_its_reward_set():
