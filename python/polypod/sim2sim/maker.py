@@ -46,8 +46,8 @@ CELL = 0.1
 HIGH = 100.0
 """Height from which they are looked for, m."""
 STABLE = 1.0
-"""Largest product of step, damping and inverse inertia of joints that the policy's gains drive; from
-2 an explicit integrator shakes them."""
+"""Largest product of step, damping and inverse inertia of joints that the policy's gains drive;
+from 2 an explicit integrator shakes them."""
 _LEVEL = 1e-6
 """Heights that differ by less count as equal, m."""
 
