@@ -46,6 +46,8 @@ stiffness = [0.8, 1.3]
 damping = [0.8, 1.25]
 """
 """End of the configs of drafted drawn bodies."""
+_MORE = "more_"
+"""Prefix of tables that add to those of the stage which a stage is like."""
 GRACE = 60.0
 """Seconds that a stage has to write its checkpoint, once it is told to end."""
 
@@ -54,8 +56,10 @@ GRACE = 60.0
 class Stage:
     """A training.
 
-    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say. A table with
-    `each = { KEY = "VALUE" }` is a stage for each of them: `{key}` and `{value}` stand for both.
+    In a plan, `like = "NAME"` takes over from an earlier stage what it does not say; tables
+    `more_teachers` and `more_shares` add to that stage's, and the last entry of a robot counts. A
+    table with `each = { KEY = "VALUE" }` is a stage for each of them: `{key}` and `{value}` stand
+    for both.
     """
 
     name: str
@@ -136,7 +140,7 @@ def read(folder: Path) -> Recipe:
     tables: dict[str, dict[str, Any]] = {}
     for table in [stage for template in plan["stages"] for stage in _each(template)]:
         like = tables[table["like"]] if "like" in table else {}
-        tables[table["name"]] = {**like, **{key: value for key, value in table.items() if key != "like"}}
+        tables[table["name"]] = _merged(like, {key: value for key, value in table.items() if key != "like"})
 
     def stage(table: dict[str, Any]) -> Stage:
         lists = {key: tuple(table.get(key, ())) for key in ("robots", "without", "changes")}
@@ -150,6 +154,16 @@ def read(folder: Path) -> Recipe:
         drafts=tuple(plan.get("drafts", ())),
         locked={**plan.get("locked", {}), **_held(plan)},
     )
+
+
+def _merged(like: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    """A stage's table over that of the stage which it is like."""
+    more = {key: value for key, value in table.items() if key.startswith(_MORE)}
+    merged = {**like, **{key: value for key, value in table.items() if key not in more}}
+    for key, value in more.items():
+        name = key.removeprefix(_MORE)
+        merged[name] = {**merged.get(name, {}), **value}
+    return merged
 
 
 def _held(plan: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
