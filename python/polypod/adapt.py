@@ -26,7 +26,7 @@ from polypod.runs import config, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
 from polypod.training import session
-from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
+from polypod.training.goal import CONFIRMING_SEED, STEPS, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
 from polypod.training.workers import Workers
 
@@ -42,9 +42,6 @@ episodes, and before it ends any turn or stop."""
 GLANCE = 16
 """Number of envs that tell whether a separate network is worth it: a policy under which every one
 falls is measured no further."""
-STEPS = 0.8
-"""A separate network is not measured as long as the robot follows its commands, with the noise of
-the training, by more than this share of a standing robot's error."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
@@ -353,12 +350,18 @@ def _has_gpu(options: Options) -> bool:
 
 
 def _begin_gpu() -> None:
-    """Loads what a training on a GPU needs: its context, and torch's imports for an optimiser."""
+    """Makes what a training on a GPU needs: torch's context, and the simulator's kernels."""
+    # the training says what is wrong
     with contextlib.suppress(RuntimeError, AssertionError):
-        # the training says what is wrong
-        import torch._dynamo
-
         torch.zeros(1, device="cuda")
+    with contextlib.suppress(RuntimeError, _core.PolypodError):
+        _smallest("cuda").device_arrays()
+
+
+def _smallest(engine: str) -> _core.VecSim:
+    """A simulator with an engine; one kernel of a card steps all robots."""
+    robots = [_core.robots()[0]["name"]]
+    return _core.VecSim(descriptions.TASK, 1, robots=robots, threads=1, overrides=[f"physics.engine={engine}"])
 
 
 def _is_separate(options: Options, robot: str, before: Walking) -> bool:

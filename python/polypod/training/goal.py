@@ -3,21 +3,29 @@
 Used by `train --until-walks`, `adapt` and `lab.speed`.
 """
 
+import contextlib
 import dataclasses
+import os
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
 import torch
 
-from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
+from polypod.evaluation import ENVS_PER_ROBOT, Evaluation, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks, why_not
 from polypod.runs import run_dir
 from polypod.training.runner import Runner
 
 SEED, CONFIRMING_SEED = 0, 1
 """Seeds of measurements that decide, and of those that confirm what was decided."""
+
+MOST_THREADS = 8
+"""Threads that share a policy's batch of hundreds of robots."""
+STEPS = 0.8
+"""Largest planar error in the training's own episodes, noise and pushes included, as a share of a
+standing robot's, from which a measurement is worth its time: what walks has half of it."""
 
 
 class Meter(Protocol):
@@ -97,7 +105,15 @@ class UntilWalks:
         self._meter = meter
         self._from_share_of_still, self._tell = from_share_of_still, tell
         self._measuring = 0.0
+        self._evaluated: tuple[Path, Evaluation] | None = None
         self._began = time.perf_counter()
+
+    def evaluation_of(self, checkpoint: Path) -> Evaluation | None:
+        """The last measurement, where it was of this checkpoint with all that an evaluation has."""
+        if self._evaluated is None or self._envs_per_robot != ENVS_PER_ROBOT:
+            return None
+        measured, evaluation = self._evaluated
+        return evaluation if measured == checkpoint else None
 
     def begin(self) -> None:
         """Counts the seconds of the training from here on."""
@@ -164,11 +180,13 @@ class UntilWalks:
                 self.walked = all(walks(self.confirmation[robot]) for robot in wanted)
 
     def _measure(self, path: Path, seed: int) -> dict[str, Walking]:
-        with torch.random.fork_rng(devices=[]):
+        with torch.random.fork_rng(devices=[]), all_threads(self._threads):
             # weights are drawn before they are read from the checkpoint
             count = len(run_dir.read_manifest(path)["robots"])
             num_envs = self._envs_per_robot * count
             result = evaluate_checkpoint(path, num_envs=num_envs, seed=seed, threads=self._threads)
+        if seed == SEED:
+            self._evaluated = (path, result)
         return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
 
     def _keep(self, point: Point, save_interval: int) -> None:
@@ -178,6 +196,23 @@ class UntilWalks:
             self.best, leaves = point, self.best or point
         if leaves is not self.best and leaves.iterations % save_interval:
             run_dir.remove_checkpoint(leaves.checkpoint)
+
+
+@contextlib.contextmanager
+def all_threads(threads: int | None) -> Iterator[None]:
+    """Lets torch compute on several threads meanwhile: a training on a GPU leaves it one.
+
+    Args:
+        threads: their number; None: one per core, `MOST_THREADS` at most.
+    """
+    before = torch.get_num_threads()
+    if before == 1:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        torch.set_num_threads(threads or min(cores, MOST_THREADS))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:

@@ -126,6 +126,35 @@ def test_a_robot_that_only_stands_is_not_measured(tmp_path, monkeypatch):
     assert len(goal.points) == 4
 
 
+def test_a_measurement_of_the_last_checkpoint_is_its_evaluation(tmp_path, monkeypatch):
+    made = []
+    original = goals.evaluate_checkpoint
+
+    def evaluate(checkpoint, **arguments):
+        made.append((checkpoint, arguments.get("seed"), torch.get_num_threads()))
+        return original(checkpoint, **arguments | {"steps": 3})
+
+    monkeypatch.setattr(goals, "evaluate_checkpoint", evaluate)
+    threads = torch.get_num_threads()
+    goal = UntilWalks(3, threads=2)
+    # a training on a GPU leaves torch one thread
+    torch.set_num_threads(1)
+    try:
+        run, _ = session.train_with(dataclasses.replace(options(tmp_path), threads=None), Workers.alone(), goal=goal)
+        assert torch.get_num_threads() == 1
+    finally:
+        torch.set_num_threads(threads)
+    assert made == [(run / f"model_{i}.pt", 0, 2) for i in (3, 4)]
+    last = goal.evaluation_of(run / "model_4.pt")
+    assert last is not None
+    assert last.robots["unitree_go1"].walking == goal.points[-1].robots["unitree_go1"]
+    assert goal.evaluation_of(run / "model_3.pt") is None
+    # fewer envs are no evaluation
+    few = UntilWalks(3, envs_per_robot=2, threads=1)
+    run, _ = session.train_with(options(tmp_path / "few"), Workers.alone(), goal=few)
+    assert few.evaluation_of(run / "model_4.pt") is None
+
+
 def test_robots_that_need_not_walk_end_nothing(tmp_path, monkeypatch):
     measured(monkeypatch, [FIGURES, FIGURES])
     goal = UntilWalks(1, ["unitree_go1"], confirm=True)
