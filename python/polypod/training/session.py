@@ -453,8 +453,8 @@ def runner_of(
     """
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
         return NativeRunner(env, train_config, run, device, reporter, workers)
-    # a policy that acts where the simulator's steps are: nothing of a step leaves the card. An engine that
-    # times itself must not decide which policy comes out, so that the policy acts there either way.
+    # a policy that acts where the simulator's steps are: nothing of a step leaves the card. It acts
+    # there as well where an engine has chosen the CPU by time, which must not decide the policy.
     is_timed = _engine(env.unwrapped.sim) == "auto" and env.could_have_card
     acts_on_card = train_config.can_be_graphs and (env.card is not None or is_timed)
     if train_config.run.learner == "native" and not acts_on_card:
