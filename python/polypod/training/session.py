@@ -19,6 +19,7 @@ from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
+from polypod.runs.engines import ENGINE, SAME_BITS
 from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.goal import UntilWalks, progress_line
 from polypod.training.gpu import GpuRunner
@@ -30,9 +31,6 @@ from polypod.training.taught_runner import TaughtRunner
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
-ENGINE = "physics.engine="
-SAME_BITS = (f"{ENGINE}articulated", f"{ENGINE}cuda")
-"""Engines that go on with each other's runs."""
 NOT_WALKING = 3
 """Exit code of a training that was to end with walking robots and does not."""
 
@@ -111,7 +109,11 @@ def train(options: Options) -> int:
     reporter, goal = Reporter(quiet=not workers.is_first), None
     if options.until_walks is not None:
         goal = UntilWalks(
-            options.until_walks, say=lambda point: reporter.message(progress_line(point)), threads=options.threads
+            options.until_walks,
+            say=lambda point: reporter.message(progress_line(point)),
+            threads=options.threads,
+            only_promising=True,
+            tell=reporter.message,
         )
     try:
         run, runner = train_with(options, workers, goal=goal, reporter=reporter)
