@@ -351,12 +351,18 @@ def _has_gpu(options: Options) -> bool:
 
 
 def _begin_gpu() -> None:
-    """Loads what a training on a GPU needs: its context, and torch's imports for an optimiser."""
+    """Makes what a training on a GPU needs: torch's context, and the simulator's kernels."""
+    # the training says what is wrong
     with contextlib.suppress(RuntimeError, AssertionError):
-        # the training says what is wrong
-        import torch._dynamo
-
         torch.zeros(1, device="cuda")
+    with contextlib.suppress(RuntimeError, _core.PolypodError):
+        _smallest("cuda").device_arrays()
+
+
+def _smallest(engine: str) -> _core.VecSim:
+    """A simulator with an engine; one kernel of a card steps all robots."""
+    robots = [_core.robots()[0]["name"]]
+    return _core.VecSim(descriptions.TASK, 1, robots=robots, threads=1, overrides=[f"physics.engine={engine}"])
 
 
 def _is_separate(options: Options, robot: str, before: Walking) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 _MARKS = ("allow_in_graph", "assume_constant_result", "disable")
 """Functions of `torch.compiler` that mark another one when a module is imported."""
 _MARKED = ("add_param_group", "load_state_dict", "state_dict", "zero_grad")
-"""Methods of torch's optimisers that are marked in their first call."""
+"""Methods of torch's optimisers that are marked in their first call, as `torch.manual_seed` is."""
 
 
 def skip_compiler() -> None:
@@ -60,10 +60,10 @@ def _unmarked() -> Iterator[None]:
     marks = {name: getattr(torch.compiler, name) for name in _MARKS}
     for name in _MARKS:
         setattr(torch.compiler, name, _as_it_is)
-    for name in _MARKED:
-        method = getattr(getattr(torch.optim.Optimizer, name, None), "__wrapped__", None)
-        if method is not None:
-            setattr(method, "__dynamo_disable", method)
+    for marked in (torch.manual_seed, *(getattr(torch.optim.Optimizer, name, None) for name in _MARKED)):
+        function = getattr(marked, "__wrapped__", None)
+        if function is not None:
+            setattr(function, "__dynamo_disable", function)
     try:
         yield
     finally:

@@ -115,6 +115,11 @@ class VecEnv(rsl_rl.env.VecEnv):
         return self._card
 
     @property
+    def could_have_card(self) -> bool:
+        """Whether a card could make the simulator's control steps, also where the CPU was faster."""
+        return type(self._source) is VecSim and self._source.lacks_on_device() is None
+
+    @property
     def has_state_on_card(self) -> bool:
         """Whether `card` has the current observations; brings the state there if it can go."""
         return self._card is not None and self._sim.device_arrays() is not None

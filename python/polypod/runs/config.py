@@ -267,6 +267,8 @@ def _named(expected: Any) -> str:
 _OF_MOTIONS = ("motions.rewards.", "motions.terminations.", "motions.reset.", "motions.sampling.")
 CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.", *_OF_MOTIONS)
 """Prefixes of keys in `[run] task_changes`: a policy of the changed task is one of the task."""
+SAME_BITS = tuple(f"physics.engine={engine}" for engine in ("articulated", "auto", "cuda"))
+"""Engines that may be changed there too: nothing but the time depends on them."""
 MAX_ACTION = 1e6
 """Largest limit of actions."""
 MAX_RNN = 4096
@@ -355,7 +357,7 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
             f"{algorithm.num_mini_batches} mini-batches; raise num_envs"
         )
     for change in run.task_changes:
-        if not change.startswith(CHANGEABLE):
+        if not change.startswith(CHANGEABLE) and change not in SAME_BITS:
             raise _core.ConfigError(
                 f"{source}: [run] task_changes: {change[:100]!r} would change what the policy sees or moves; "
                 f"begin with {', '.join(CHANGEABLE)}, or name another task"

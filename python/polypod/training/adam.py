@@ -1,8 +1,19 @@
 """Adam whose steps CUDA graphs hold, and its exchange with the optimiser that checkpoints know."""
 
-from collections.abc import Iterable
+import inspect
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import torch
+
+
+class _Adam(torch.optim.Adam):
+    """Adam whose steps do not import torch's compiler, which takes seconds."""
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], float] | None = None) -> Any:
+        """A step of torch's, without the wrappers that speak to its compiler."""
+        return inspect.unwrap(torch.optim.Adam.step)(self, closure)
 
 
 def graph_adam(parameters: Iterable[torch.nn.Parameter], rate: torch.Tensor) -> torch.optim.Adam:
@@ -16,7 +27,7 @@ def graph_adam(parameters: Iterable[torch.nn.Parameter], rate: torch.Tensor) -> 
     device = rate.device
     is_cuda = device.type == "cuda"
     moved = list(parameters)
-    optimizer = torch.optim.Adam(moved, lr=rate, capturable=is_cuda, fused=is_cuda or None)
+    optimizer = _Adam(moved, lr=rate, capturable=is_cuda, fused=is_cuda or None)
     for parameter in moved:
         optimizer.state[parameter] = {
             "step": torch.zeros((), device=device),

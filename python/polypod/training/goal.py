@@ -5,18 +5,18 @@ Used by `train --until-walks`, `adapt` and `lab.speed`.
 
 import contextlib
 import dataclasses
+import os
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
 import torch
 
-from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
+from polypod.evaluation import ENVS_PER_ROBOT, Evaluation, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks, why_not
 from polypod.runs import run_dir
 from polypod.runs.schema import URMA
-from polypod.tensors import one_thread
 from polypod.training.runner import Runner
 
 SEED, CONFIRMING_SEED = 0, 1
@@ -25,9 +25,9 @@ STEPS, FALLS = 0.8, 0.5
 """A measurement promises nothing as long as a robot misses its commands, with the noise of the
 training, by more than this share of a standing robot's error, or falls in more than this share of
 its episodes."""
-MOST_ON_ONE_THREAD = 1024
+MOST_ON_ONE_THREAD, MOST_THREADS = 1024, 8
 """Envs whose perceptron one thread of torch steps as fast as many, which wait for each other and
-keep the simulator's threads from their cores."""
+keep the simulator's threads from their cores; and threads that share larger batches."""
 
 
 class Meter(Protocol):
@@ -107,7 +107,15 @@ class UntilWalks:
         self._meter = meter
         self._only_promising, self._tell = only_promising, tell
         self._measuring = 0.0
+        self._evaluated: tuple[Path, Evaluation] | None = None
         self._began = time.perf_counter()
+
+    def evaluation_of(self, checkpoint: Path) -> Evaluation | None:
+        """The last measurement, where it was of this checkpoint with all that an evaluation has."""
+        if self._evaluated is None or self._envs_per_robot != ENVS_PER_ROBOT:
+            return None
+        measured, evaluation = self._evaluated
+        return evaluation if measured == checkpoint else None
 
     def begin(self) -> None:
         """Counts the seconds of the training from here on."""
@@ -175,12 +183,13 @@ class UntilWalks:
                 self.walked = all(walks(self.confirmation[robot]) for robot in wanted)
 
     def _measure(self, path: Path, seed: int) -> dict[str, Walking]:
-        manifest = run_dir.read_manifest(path)
-        num_envs = self._envs_per_robot * len(manifest["robots"])
-        is_small = manifest["policy"]["class_name"] != URMA and num_envs <= MOST_ON_ONE_THREAD
+        num_envs = self._envs_per_robot * len(run_dir.read_manifest(path)["robots"])
+        chosen = threads_of_a_measurement(path, self._threads, self._envs_per_robot)
         # weights are drawn before they are read from the checkpoint
-        with torch.random.fork_rng(devices=[]), one_thread() if is_small else contextlib.nullcontext():
+        with torch.random.fork_rng(devices=[]), chosen:
             result = evaluate_checkpoint(path, num_envs=num_envs, seed=seed, threads=self._threads)
+        if seed == SEED:
+            self._evaluated = (path, result)
         return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
 
     def _keep(self, point: Point, save_interval: int) -> None:
@@ -190,6 +199,30 @@ class UntilWalks:
             self.best, leaves = point, self.best or point
         if leaves is not self.best and leaves.iterations % save_interval:
             run_dir.remove_checkpoint(leaves.checkpoint)
+
+
+@contextlib.contextmanager
+def threads_of_a_measurement(
+    checkpoint: Path, threads: int | None, envs_per_robot: int = ENVS_PER_ROBOT
+) -> Iterator[None]:
+    """Gives torch the threads that suit a measurement; a training on a GPU leaves it one.
+
+    Args:
+        checkpoint: the policy's.
+        threads: of the training; None: one per core, `MOST_THREADS` at most.
+        envs_per_robot: of the measurement.
+    """
+    before, manifest = torch.get_num_threads(), run_dir.read_manifest(checkpoint)
+    num_envs = envs_per_robot * len(manifest["robots"])
+    if manifest["policy"]["class_name"] != URMA and num_envs <= MOST_ON_ONE_THREAD:
+        torch.set_num_threads(1)
+    elif before == 1:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        torch.set_num_threads(threads or min(cores, MOST_THREADS))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:

@@ -19,9 +19,9 @@ from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
-from polypod.runs.engines import ENGINE, SAME_BITS
+from polypod.runs.engines import ENGINE
 from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
-from polypod.training.goal import UntilWalks, progress_line
+from polypod.training.goal import UntilWalks, progress_line, threads_of_a_measurement
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
@@ -126,7 +126,11 @@ def train(options: Options) -> int:
     reporter.message(f"checkpoint {checkpoint}")
     if runner.stopped_by is not None:
         return 128 + runner.stopped_by
-    reporter.evaluation(evaluate_checkpoint(checkpoint, threads=options.threads, terms=options.terms))
+    result = None if goal is None else goal.evaluation_of(checkpoint)
+    if result is None:
+        with threads_of_a_measurement(checkpoint, options.threads):
+            result = evaluate_checkpoint(checkpoint, threads=options.threads, terms=options.terms)
+    reporter.evaluation(result)
     if goal is None or goal.walked:
         return 0
     if goal.best is not None and goal.best.checkpoint != checkpoint:
@@ -212,7 +216,7 @@ def train_with(
                 runner.start_from(options.init)
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         among = f", each of {workers.count} workers" if workers.count > 1 else ""
-        learner = _learner(run_config.learner, device, vec_env.card is not None)
+        learner = _learner(run_config.learner, device, vec_env.card is not None, isinstance(runner, GraphRunner))
         reporter.message(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
             f"simulator {env.sim.threads} threads{among}, {learner}; {run}"
@@ -355,7 +359,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
 
     Another engine with the same bits changes nothing.
     """
-    engine = [change for change in options.overrides if change in SAME_BITS]
+    engine = [change for change in options.overrides if change in config.SAME_BITS]
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,
@@ -364,7 +368,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
         "--train-config": options.train_config,
         "--run-name": options.run_name,
         "--init": options.init,
-        "--set": [change for change in options.overrides if change not in SAME_BITS] or None,
+        "--set": [change for change in options.overrides if change not in config.SAME_BITS] or None,
     }
     given = [flag for flag, value in fixed.items() if value is not None]
     if given:
@@ -449,12 +453,15 @@ def runner_of(
     """
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
         return NativeRunner(env, train_config, run, device, reporter, workers)
-    quick_start.import_compiler()
-    # a policy that acts where the simulator's steps are: nothing of a step leaves the card
-    if train_config.run.learner == "native" and not (env.card is not None and train_config.can_be_graphs):
+    # a policy that acts where the simulator's steps are: nothing of a step leaves the card. An engine that
+    # times itself must not decide which policy comes out, so that the policy acts there either way.
+    is_timed = _engine(env.unwrapped.sim) == "auto" and env.could_have_card
+    acts_on_card = train_config.can_be_graphs and (env.card is not None or is_timed)
+    if train_config.run.learner == "native" and not acts_on_card:
         return GpuRunner(env, train_config, run, device, reporter, workers)
     if train_config.can_be_graphs and (torch.device(device).type == "cuda" or train_config.run.symmetry == ALTERNATE):
         return GraphRunner(env, train_config, run, device, reporter, workers)
+    quick_start.import_compiler()
     if train_config.distils_without_memory:
         return TaughtRunner(env, train_config, run, device, reporter, workers)
     runner = Runner(env, train_config, run, device, reporter, workers)
@@ -463,18 +470,25 @@ def runner_of(
     return runner
 
 
+def _engine(sim: _core.VecSim) -> str | None:
+    """The engine that the task names."""
+    engine: str | None = simulated.config(sim)["task"].get("physics", {}).get("engine")
+    return engine
+
+
 def _why(sim: _core.VecSim) -> str | None:
     """Why the CPU or a card makes the control steps, where the task's engine leaves that open."""
-    engine = simulated.config(sim)["task"].get("physics", {}).get("engine")
+    engine = _engine(sim)
     if engine == "auto" and (choice := sim.choice_of_engine) is not None:
         return f"{ENGINE}auto: {choice}"
     lacks = sim.lacks_on_device() if engine == "cuda" else None
     return f"{ENGINE}cuda: the CPU makes all but the physics: no form on the card has {lacks}" if lacks else None
 
 
-def _learner(learner: str, device: str, has_steps_on_card: bool) -> str:
-    if has_steps_on_card:
-        return f"its steps, the policy and the {learner} learner's update on {torch.cuda.get_device_name(device)}"
+def _learner(learner: str, device: str, has_steps_on_card: bool, acts_on_card: bool) -> str:
+    if has_steps_on_card or (acts_on_card and learner == "native"):
+        steps = "its steps, " if has_steps_on_card else ""
+        return f"{steps}the policy and the {learner} learner's update on {torch.cuda.get_device_name(device)}"
     if learner == "native":
         of_update = "" if device == "cpu" else f", its update on {torch.cuda.get_device_name(device)}"
         return f"native learner on the same{of_update}"

@@ -6,6 +6,8 @@
 import subprocess
 import sys
 
+import pytest
+
 SCRIPT = """
 import sys
 from polypod.__main__ import main
@@ -16,8 +18,10 @@ sys.exit(code)
 TRAIN = "train --train-config quick --robots unitree_a1 --num-envs 8 --max-iterations 1 --logger none"
 
 
-def test_the_native_learner_and_the_evaluation_need_no_compiler(tmp_path):
-    command = [sys.executable, "-c", SCRIPT, *TRAIN.split()]
+@pytest.mark.parametrize("more", ["", "--learner rsl_rl --set train.run.symmetry=alternate"], ids=["native", "graphs"])
+def test_the_learners_that_a_gpu_has_and_the_evaluation_need_no_compiler(tmp_path, more):
+    """The native one, and that of CUDA graphs, which a CPU computes without them."""
+    command = [sys.executable, "-c", SCRIPT, *TRAIN.split(), *more.split()]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "tensordict torch"

@@ -399,6 +399,12 @@ def test_the_first_look_takes_one_thread(monkeypatch, tmp_path):
         torch.set_num_threads(threads)
 
 
+def test_the_kernels_of_a_card_are_made_with_one_robot():
+    """Here by the CPU, whose engine takes the same options."""
+    sim = adapt._smallest("articulated")
+    assert (sim.num_envs, len(sim.robots), sim.device_arrays()) == (1, 1, None)
+
+
 def test_a_critic_goes_on_for_another_body():
     """The critic of ANYmal B without and with an arm.
 

@@ -55,9 +55,10 @@ class OnCard(VecEnv):
             card[name].copy_(torch.from_numpy(getattr(sim, name).copy()))
 
 
-def make(kind: type[VecEnv], clip_actions: float | None = None) -> VecEnv:
+def make(kind: type[VecEnv], clip_actions: float | None = None, engine: str = "articulated") -> VecEnv:
     """Envs with short episodes."""
-    env = polypod.make(TASK, ENVS, robots=ROBOTS, seed=11, overrides=["sim.episode_length_s=0.1"])
+    overrides = ["sim.episode_length_s=0.1", f"physics.engine={engine}"]
+    env = polypod.make(TASK, ENVS, robots=ROBOTS, seed=11, overrides=overrides)
     return kind(env, "cpu", log_extras=False, clip_actions=clip_actions)
 
 
@@ -120,6 +121,26 @@ def test_the_native_learner_acts_on_the_card_too(tmp_path: Any, monkeypatch: pyt
     for env in (make(VecEnv), make(OnCard)):
         runner_of(env, made_of, tmp_path, "cuda:0", Reporter(quiet=True))
     assert chosen == ["GpuRunner", "GraphRunner"]
+
+
+class CouldBeOnCard(VecEnv):
+    """An env whose steps a card could make, and the CPU makes faster."""
+
+    could_have_card = True
+
+
+@pytest.mark.parametrize("engine", ["articulated", "auto"])
+def test_an_engine_that_times_itself_does_not_decide_the_policy(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch, engine: str
+) -> None:
+    chosen: list[str] = []
+    for name in ("GraphRunner", "GpuRunner"):
+        monkeypatch.setattr(f"polypod.training.session.{name}", lambda *_, name=name: chosen.append(name))
+    made_of = config.load("flat").with_learner_resolved("native", "cuda")
+    # no card here; one that could make the steps, and is slower or faster
+    for kind in (VecEnv, CouldBeOnCard, OnCard):
+        runner_of(make(kind, engine=engine), made_of, tmp_path, "cuda:0", Reporter(quiet=True))
+    assert chosen == ["GpuRunner", "GraphRunner" if engine == "auto" else "GpuRunner", "GraphRunner"]
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,10 @@ def test_a_file_extends_several_of_which_the_later_wins(tmp_path):
         ('extends = "flat_joints"\n[actor]\nleg_heads = 33\n', r"\[actor\] leg_heads = 33 must be from 1 to num_heads"),
         ('extends = "flat"\n[actor]\nhidden_dims = []\n', r"hidden_dims = \[\] must hold"),
         ('extends = "flat"\n[run]\ntask_changes = ["sim.decimation=2"]\n', "begin with commands., events., rewards."),
+        (
+            'extends = "flat"\n[run]\ntask_changes = ["physics.engine=avian"]\n',
+            "begin with commands., events., rewards.",
+        ),
         ("[run]\nnum_envs = 1\n", "extends"),
         ("[run\n", "not valid TOML"),
     ],
@@ -87,6 +91,13 @@ def test_errors(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(polypod.ConfigError, match=message):
         config.load(str(path))
+
+
+@pytest.mark.parametrize("engine", ["articulated", "auto", "cuda"])
+def test_engines_of_the_same_bits_are_of_the_training_alone(tmp_path, engine):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'extends = "flat"\n[run]\ntask_changes = ["physics.engine={engine}"]\n')
+    assert config.load(str(path)).run.task_changes == [f"physics.engine={engine}"]
 
 
 def test_changes_of_the_task_are_of_the_training_alone(tmp_path):

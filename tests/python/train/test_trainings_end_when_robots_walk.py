@@ -146,7 +146,9 @@ def test_a_robot_that_mostly_falls_is_not_measured(tmp_path, monkeypatch):
     ]
 
 
-def test_measurements_of_few_envs_compute_on_one_thread(tmp_path, monkeypatch):
+@pytest.mark.parametrize(("count", "left", "then"), [(16, 2, 1), (16, 1, 1), (2000, 2, 2), (2000, 1, 3)])
+def test_torchs_threads_suit_a_measurement(tmp_path, monkeypatch, count, left, then):
+    """Perceptrons of few robots get one; a training on a GPU leaves one, which is few for many."""
     seen = []
 
     def evaluate(path, **arguments):
@@ -155,15 +157,15 @@ def test_measurements_of_few_envs_compute_on_one_thread(tmp_path, monkeypatch):
 
     monkeypatch.setattr(goals, "evaluate_checkpoint", evaluate)
     threads = torch.get_num_threads()
-    on_two = dataclasses.replace(options(tmp_path), threads=2)
+    of_run = dataclasses.replace(options(tmp_path), threads=None)
+    torch.set_num_threads(left)
     try:
-        for count in (16, 2000):
-            goal = UntilWalks(1, confirm=False, envs_per_robot=count)
-            session.train_with(on_two, Workers.alone(), goal=goal)
-            assert torch.get_num_threads() == 2
+        goal = UntilWalks(1, confirm=False, envs_per_robot=count, threads=3)
+        session.train_with(of_run, Workers.alone(), goal=goal)
+        assert torch.get_num_threads() == left
     finally:
         torch.set_num_threads(threads)
-    assert seen == [1, 2]
+    assert seen == [then]
 
 
 @pytest.mark.parametrize("engine", ["cuda", "auto"])
@@ -182,6 +184,28 @@ def test_the_cpu_measures_what_a_card_trained(tmp_path, engine):
 def test_the_last_engine_that_is_named_counts():
     assert on_the_cpu(["physics.engine=avian", "physics.engine=cuda"]) == [ON_THE_CPU]
     assert on_the_cpu(["physics.engine=auto", "physics.engine=avian"]) == on_the_cpu([]) == []
+
+
+def test_a_measurement_of_the_last_checkpoint_is_its_evaluation(tmp_path, monkeypatch):
+    made = []
+    original = goals.evaluate_checkpoint
+
+    def evaluate(checkpoint, **arguments):
+        made.append((checkpoint, arguments.get("seed")))
+        return original(checkpoint, **arguments | {"steps": 3})
+
+    monkeypatch.setattr(goals, "evaluate_checkpoint", evaluate)
+    goal = UntilWalks(3, threads=1)
+    run, _ = session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert made == [(run / f"model_{i}.pt", 0) for i in (3, 4)]
+    last = goal.evaluation_of(run / "model_4.pt")
+    assert last is not None
+    assert last.robots["unitree_go1"].walking == goal.points[-1].robots["unitree_go1"]
+    assert goal.evaluation_of(run / "model_3.pt") is None
+    # fewer envs are no evaluation
+    few = UntilWalks(3, envs_per_robot=2, threads=1)
+    run, _ = session.train_with(options(tmp_path / "few"), Workers.alone(), goal=few)
+    assert few.evaluation_of(run / "model_4.pt") is None
 
 
 def test_robots_that_need_not_walk_end_nothing(tmp_path, monkeypatch):
