@@ -25,8 +25,9 @@ from polypod.new_robot import new_robot, robot_name
 from polypod.runs import config, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
+from polypod.tensors import one_thread
 from polypod.training import session
-from polypod.training.goal import CONFIRMING_SEED, STEPS, Point, UntilWalks, progress_line, rank
+from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
 from polypod.training.workers import Workers
 
@@ -180,7 +181,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         say=lambda point: reporter.message(progress_line(point, wanted)),
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
-        from_share_of_still=STEPS if is_separate else None,
+        only_promising=is_separate,
         tell=reporter.message,
     )
     if is_separate:
@@ -421,7 +422,7 @@ def _measured(
 ) -> dict[str, Walking]:
     """Figures with the seed that selects nothing."""
     count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
-    with _one_thread() if envs_per_robot * count <= GLANCE else contextlib.nullcontext():
+    with one_thread() if envs_per_robot * count <= GLANCE else contextlib.nullcontext():
         result = evaluate_checkpoint(
             checkpoint,
             robots,
@@ -431,17 +432,6 @@ def _measured(
             overrides=changes,
         )
     return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Small batches are no faster on several threads, and far slower on a busy machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _verdict(figures: Mapping[str, Walking], wanted: Sequence[str]) -> str:

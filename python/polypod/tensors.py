@@ -1,5 +1,7 @@
-"""Tensors over arrays that are for reading."""
+"""Tensors over arrays that are for reading, and the threads that compute with tensors."""
 
+import contextlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,3 +25,17 @@ def tensor_over(array: npt.NDArray[Any]) -> torch.Tensor:
     torch warns of memory that is guarded against writing, as the simulator's is.
     """
     return torch.from_numpy(array if array.flags.writeable else np.asarray(_Memory(array)))
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Lets torch compute on one thread.
+
+    Small batches are no faster on several, and far slower on a busy machine.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)

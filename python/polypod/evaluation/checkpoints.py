@@ -1,7 +1,7 @@
 """Evaluation of the checkpoints of trainings."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,16 @@ from polypod.evaluation.gate import Gate
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
+from polypod.runs.engines import on_the_cpu
 from polypod.runs.own_terms import terms_of_run
 
 
 def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> Evaluation:
     """`evaluate` for a checkpoint or an ONNX file.
 
-    Task, robots and overrides come from its manifest unless given. `terms`, a path, is the file of
-    terms in Python that a run was begun with; no manifest makes one run.
+    Task, robots and overrides come from its manifest unless given. The CPU steps what a card
+    stepped in the training. `terms`, a path, is the file of terms in Python that a run was begun
+    with; no manifest makes one run.
     """
     from polypod.policy import load  # it builds on this package
 
@@ -32,7 +34,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
         overrides=given,
-        trained=manifest["overrides"],
+        trained=_trained(manifest),
         slots=manifest["canonical_joint_names"],
         terms=terms,
         **arguments,
@@ -52,6 +54,12 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
     return dataclasses.replace(evaluation, checkpoint=origin, measured=measured(), distances=distances)
 
 
+def _trained(manifest: Mapping[str, Any]) -> list[str]:
+    """Changes of the task with which a policy was trained, on the CPU."""
+    overrides = manifest["overrides"]
+    return [*overrides, *on_the_cpu(overrides)]
+
+
 def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> dict[str, Gate]:
     """`polypod.evaluation.gate.measure` for a checkpoint or an ONNX file.
 
@@ -66,7 +74,7 @@ def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **
         policy.runner(),
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
-        trained=manifest["overrides"],
+        trained=_trained(manifest),
         slots=manifest["canonical_joint_names"],
         **arguments,
     )

@@ -16,16 +16,18 @@ import torch
 from polypod.evaluation import ENVS_PER_ROBOT, Evaluation, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks, why_not
 from polypod.runs import run_dir
+from polypod.runs.schema import URMA
 from polypod.training.runner import Runner
 
 SEED, CONFIRMING_SEED = 0, 1
 """Seeds of measurements that decide, and of those that confirm what was decided."""
-
-MOST_THREADS = 8
-"""Threads that share a policy's batch of hundreds of robots."""
-STEPS = 0.8
-"""Largest planar error in the training's own episodes, noise and pushes included, as a share of a
-standing robot's, from which a measurement is worth its time: what walks has half of it."""
+STEPS, FALLS = 0.8, 0.5
+"""A measurement promises nothing as long as a robot misses its commands, with the noise of the
+training, by more than this share of a standing robot's error, or falls in more than this share of
+its episodes."""
+MOST_ON_ONE_THREAD, MOST_THREADS = 1024, 8
+"""Envs whose perceptron one thread of torch steps as fast as many, which wait for each other and
+keep the simulator's threads from their cores; and threads that share larger batches."""
 
 
 class Meter(Protocol):
@@ -74,7 +76,7 @@ class UntilWalks:
         envs_per_robot: int = ENVS_PER_ROBOT,
         threads: int | None = None,
         meter: Meter | None = None,
-        from_share_of_still: float | None = None,
+        only_promising: bool = False,
         tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         """Begins.
@@ -89,8 +91,8 @@ class UntilWalks:
             envs_per_robot: number of envs of a measurement for each robot.
             threads: of a measurement; None: one per core.
             meter: of the training's energy, which stands still in measurements.
-            from_share_of_still: nothing is measured as long as a robot of the training has a larger
-                planar error than this share of a standing robot's; None: everything is measured.
+            only_promising: nothing is measured as long as the figures of the training say that a
+                robot cannot walk (`STEPS`, `FALLS`), but for the last time.
             tell: is told why nothing is measured.
         """
         self.every, self.wanted = every, None if wanted is None else tuple(wanted)
@@ -103,7 +105,7 @@ class UntilWalks:
         self._say, self._deadline, self._confirm = say, deadline, confirm
         self._envs_per_robot, self._threads = envs_per_robot, threads
         self._meter = meter
-        self._from_share_of_still, self._tell = from_share_of_still, tell
+        self._only_promising, self._tell = only_promising, tell
         self._measuring = 0.0
         self._evaluated: tuple[Path, Evaluation] | None = None
         self._began = time.perf_counter()
@@ -131,9 +133,9 @@ class UntilWalks:
         if iterations % self.every and not is_late and not is_last:
             return False
         samples = runner.config.run.num_steps_per_env * runner.env.num_envs * iterations
-        if not is_late and not is_last and (stands := self._stands(runner)) is not None:
+        if not is_late and not is_last and (why := self._cannot_walk(runner)) is not None:
             seconds = time.perf_counter() - self._began - self._measuring
-            self._tell(f"iteration {iterations}, {_spent(samples, seconds)}: {stands}")
+            self._tell(f"iteration {iterations}, {_spent(samples, seconds)}: {why}")
             return False
         begin = time.perf_counter()
         if self._meter is not None:
@@ -150,22 +152,23 @@ class UntilWalks:
             self._meter.resume()
         return ends
 
-    def _stands(self, runner: Runner) -> str | None:
-        """Why a measurement is not worth its time: the robot that follows its commands least."""
-        if self._from_share_of_still is None:
+    def _cannot_walk(self, runner: Runner) -> str | None:
+        """Why a measurement is not worth its time: the robot that is farthest from walking."""
+        if not self._only_promising:
             return None
+        stats = runner.stats_of_robots
         errors = {
-            name: stats["error_vel_xy"] / stats["command_xy"]
-            for name, stats in runner.stats_of_robots.items()
-            if stats.get("command_xy", 0.0) > 0.0
+            name: of["error_vel_xy"] / of["command_xy"] for name, of in stats.items() if of.get("command_xy", 0.0) > 0.0
         }
         if not errors:
             return None
         name = max(errors, key=errors.__getitem__)
-        if errors[name] <= self._from_share_of_still:
-            return None
-        falls = runner.stats_of_robots[name]["fall_rate"]
-        return f"{name} follows no better than standing still, and falls in {falls:.0%} of the episodes"
+        if errors[name] > STEPS:
+            falls = stats[name]["fall_rate"]
+            return f"{name} follows no better than standing still, and falls in {falls:.0%} of the episodes"
+        name = max(errors, key=lambda robot: stats[robot]["fall_rate"])
+        falls = stats[name]["fall_rate"]
+        return f"{name} falls in {falls:.0%} of the episodes" if falls > FALLS else None
 
     def _add(self, point: Point, runner: Runner) -> None:
         """Takes a measurement."""
@@ -180,10 +183,10 @@ class UntilWalks:
                 self.walked = all(walks(self.confirmation[robot]) for robot in wanted)
 
     def _measure(self, path: Path, seed: int) -> dict[str, Walking]:
-        with torch.random.fork_rng(devices=[]), all_threads(self._threads):
-            # weights are drawn before they are read from the checkpoint
-            count = len(run_dir.read_manifest(path)["robots"])
-            num_envs = self._envs_per_robot * count
+        num_envs = self._envs_per_robot * len(run_dir.read_manifest(path)["robots"])
+        chosen = threads_of_a_measurement(path, self._threads, self._envs_per_robot)
+        # weights are drawn before they are read from the checkpoint
+        with torch.random.fork_rng(devices=[]), chosen:
             result = evaluate_checkpoint(path, num_envs=num_envs, seed=seed, threads=self._threads)
         if seed == SEED:
             self._evaluated = (path, result)
@@ -199,14 +202,21 @@ class UntilWalks:
 
 
 @contextlib.contextmanager
-def all_threads(threads: int | None) -> Iterator[None]:
-    """Lets torch compute on several threads meanwhile: a training on a GPU leaves it one.
+def threads_of_a_measurement(
+    checkpoint: Path, threads: int | None, envs_per_robot: int = ENVS_PER_ROBOT
+) -> Iterator[None]:
+    """Gives torch the threads that suit a measurement; a training on a GPU leaves it one.
 
     Args:
-        threads: their number; None: one per core, `MOST_THREADS` at most.
+        checkpoint: the policy's.
+        threads: of the training; None: one per core, `MOST_THREADS` at most.
+        envs_per_robot: of the measurement.
     """
-    before = torch.get_num_threads()
-    if before == 1:
+    before, manifest = torch.get_num_threads(), run_dir.read_manifest(checkpoint)
+    num_envs = envs_per_robot * len(manifest["robots"])
+    if manifest["policy"]["class_name"] != URMA and num_envs <= MOST_ON_ONE_THREAD:
+        torch.set_num_threads(1)
+    elif before == 1:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         torch.set_num_threads(threads or min(cores, MOST_THREADS))
     try:

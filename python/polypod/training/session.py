@@ -19,8 +19,9 @@ from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
+from polypod.runs.engines import ENGINE, SAME_BITS
 from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
-from polypod.training.goal import STEPS, UntilWalks, all_threads, progress_line
+from polypod.training.goal import UntilWalks, progress_line, threads_of_a_measurement
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
 from polypod.training.native import NativeRunner
@@ -30,7 +31,6 @@ from polypod.training.taught_runner import TaughtRunner
 from polypod.training.workers import Workers, flat, is_among_workers, threads_of
 
 DEFAULT_SEED = 42
-ENGINE = "physics.engine="
 NOT_WALKING = 3
 """Exit code of a training that was to end with walking robots and does not."""
 
@@ -112,7 +112,7 @@ def train(options: Options) -> int:
             options.until_walks,
             say=lambda point: reporter.message(progress_line(point)),
             threads=options.threads,
-            from_share_of_still=STEPS,
+            only_promising=True,
             tell=reporter.message,
         )
     try:
@@ -128,7 +128,7 @@ def train(options: Options) -> int:
         return 128 + runner.stopped_by
     result = None if goal is None else goal.evaluation_of(checkpoint)
     if result is None:
-        with all_threads(options.threads):
+        with threads_of_a_measurement(checkpoint, options.threads):
             result = evaluate_checkpoint(checkpoint, threads=options.threads, terms=options.terms)
     reporter.evaluation(result)
     if goal is None or goal.walked:
@@ -359,7 +359,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
 
     Another engine with the same bits changes nothing.
     """
-    engine = [change for change in options.overrides if change in config.SAME_BITS]
+    engine = [change for change in options.overrides if change in SAME_BITS]
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,
@@ -368,7 +368,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
         "--train-config": options.train_config,
         "--run-name": options.run_name,
         "--init": options.init,
-        "--set": [change for change in options.overrides if change not in config.SAME_BITS] or None,
+        "--set": [change for change in options.overrides if change not in SAME_BITS] or None,
     }
     given = [flag for flag, value in fixed.items() if value is not None]
     if given:

@@ -6,12 +6,15 @@ Measurements come at intervals, change nothing, and the best policy stays.
 import dataclasses
 import json
 import time
+from types import SimpleNamespace
 
 import pytest
 import torch
 
+from polypod.evaluation import evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks
 from polypod.runs import run_dir
+from polypod.runs.engines import ON_THE_CPU, on_the_cpu
 from polypod.training import goal as goals
 from polypod.training import session
 from polypod.training.goal import UntilWalks
@@ -101,19 +104,23 @@ def test_a_deadline_ends_it_after_one_more_measurement(tmp_path, monkeypatch):
     assert runner.current_learning_iteration == len(goal.points) == 1
 
 
-def test_a_robot_that_only_stands_is_not_measured(tmp_path, monkeypatch):
-    """But for the last time: the figures of the training's episodes say enough."""
-    measured(monkeypatch, [bad(0.4), bad(0.3)])
-    stats = {"command_xy": 0.4, "fall_rate": 0.13}
-    errors, lines = [0.33, 0.41, 0.2, 0.41], []
+def goal_that_is_told(stats, **arguments):
+    """A goal whose training has these figures of the robot, iteration by iteration."""
 
     class Told(UntilWalks):
         def ends(self, runner, is_last):
-            error = errors[runner.current_learning_iteration - 1]
-            runner.stats_of_robots = {"unitree_go1": {**stats, "error_vel_xy": error}}
+            runner.stats_of_robots = {"unitree_go1": stats[runner.current_learning_iteration - 1]}
             return super().ends(runner, is_last)
 
-    goal = Told(1, from_share_of_still=0.8, tell=lines.append)
+    return Told(1, **arguments)
+
+
+def test_a_robot_that_only_stands_is_not_measured(tmp_path, monkeypatch):
+    """But for the last time: the figures of the training's episodes say enough."""
+    measured(monkeypatch, [bad(0.4), bad(0.3)])
+    stats = [{"command_xy": 0.4, "fall_rate": 0.13, "error_vel_xy": error} for error in (0.33, 0.41, 0.2, 0.41)]
+    lines = []
+    goal = goal_that_is_told(stats, only_promising=True, tell=lines.append)
     session.train_with(options(tmp_path), Workers.alone(), goal=goal)
     assert [point.iterations for point in goal.points] == [3, 4]
     assert len(lines) == 2
@@ -121,9 +128,62 @@ def test_a_robot_that_only_stands_is_not_measured(tmp_path, monkeypatch):
     assert lines[0].endswith("unitree_go1 follows no better than standing still, and falls in 13% of the episodes")
     # without figures it is measured
     measured(monkeypatch, [bad(0.4)] * 4)
-    goal = UntilWalks(1, from_share_of_still=0.8, tell=lines.append)
+    goal = UntilWalks(1, only_promising=True, tell=lines.append)
     session.train_with(options(tmp_path / "other"), Workers.alone(), goal=goal)
     assert len(goal.points) == 4
+
+
+def test_a_robot_that_mostly_falls_is_not_measured(tmp_path, monkeypatch):
+    measured(monkeypatch, [bad(0.4), bad(0.3)])
+    stats = [{"command_xy": 0.4, "fall_rate": falls, "error_vel_xy": 0.2} for falls in (0.51, 0.49, 1.0, 1.0)]
+    lines = []
+    goal = goal_that_is_told(stats, only_promising=True, tell=lines.append)
+    session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert [point.iterations for point in goal.points] == [2, 4]
+    assert [line.rpartition(": ")[2] for line in lines] == [
+        "unitree_go1 falls in 51% of the episodes",
+        "unitree_go1 falls in 100% of the episodes",
+    ]
+
+
+@pytest.mark.parametrize(("count", "left", "then"), [(16, 2, 1), (16, 1, 1), (2000, 2, 2), (2000, 1, 3)])
+def test_torchs_threads_suit_a_measurement(tmp_path, monkeypatch, count, left, then):
+    """Perceptrons of few robots get one; a training on a GPU leaves one, which is few for many."""
+    seen = []
+
+    def evaluate(path, **arguments):
+        seen.append(torch.get_num_threads())
+        return SimpleNamespace(robots={"unitree_go1": SimpleNamespace(walking=FIGURES)})
+
+    monkeypatch.setattr(goals, "evaluate_checkpoint", evaluate)
+    threads = torch.get_num_threads()
+    of_run = dataclasses.replace(options(tmp_path), threads=None)
+    torch.set_num_threads(left)
+    try:
+        goal = UntilWalks(1, confirm=False, envs_per_robot=count, threads=3)
+        session.train_with(of_run, Workers.alone(), goal=goal)
+        assert torch.get_num_threads() == left
+    finally:
+        torch.set_num_threads(threads)
+    assert seen == [then]
+
+
+@pytest.mark.parametrize("engine", ["cuda", "auto"])
+def test_the_cpu_measures_what_a_card_trained(tmp_path, engine):
+    """No card steps a few hundred envs sooner than the CPU, and the bits are the same."""
+    run, runner = session.train_with(options(tmp_path), Workers.alone())
+    path = run_dir.checkpoint_path(run, runner.current_learning_iteration)
+    before = evaluate_checkpoint(path, num_envs=2, steps=10, threads=1)
+    manifest = json.loads((run / "manifest.json").read_text())
+    manifest["overrides"].append(f"physics.engine={engine}")
+    (run / "manifest.json").write_text(json.dumps(manifest))
+    after = evaluate_checkpoint(path, num_envs=2, steps=10, threads=1)
+    assert after.robots == before.robots
+
+
+def test_the_last_engine_that_is_named_counts():
+    assert on_the_cpu(["physics.engine=avian", "physics.engine=cuda"]) == [ON_THE_CPU]
+    assert on_the_cpu(["physics.engine=auto", "physics.engine=avian"]) == on_the_cpu([]) == []
 
 
 def test_a_measurement_of_the_last_checkpoint_is_its_evaluation(tmp_path, monkeypatch):
@@ -131,20 +191,13 @@ def test_a_measurement_of_the_last_checkpoint_is_its_evaluation(tmp_path, monkey
     original = goals.evaluate_checkpoint
 
     def evaluate(checkpoint, **arguments):
-        made.append((checkpoint, arguments.get("seed"), torch.get_num_threads()))
+        made.append((checkpoint, arguments.get("seed")))
         return original(checkpoint, **arguments | {"steps": 3})
 
     monkeypatch.setattr(goals, "evaluate_checkpoint", evaluate)
-    threads = torch.get_num_threads()
-    goal = UntilWalks(3, threads=2)
-    # a training on a GPU leaves torch one thread
-    torch.set_num_threads(1)
-    try:
-        run, _ = session.train_with(dataclasses.replace(options(tmp_path), threads=None), Workers.alone(), goal=goal)
-        assert torch.get_num_threads() == 1
-    finally:
-        torch.set_num_threads(threads)
-    assert made == [(run / f"model_{i}.pt", 0, 2) for i in (3, 4)]
+    goal = UntilWalks(3, threads=1)
+    run, _ = session.train_with(options(tmp_path), Workers.alone(), goal=goal)
+    assert made == [(run / f"model_{i}.pt", 0) for i in (3, 4)]
     last = goal.evaluation_of(run / "model_4.pt")
     assert last is not None
     assert last.robots["unitree_go1"].walking == goal.points[-1].robots["unitree_go1"]
