@@ -35,6 +35,14 @@ pub(super) fn register(registry: &mut Registry) {
     for name in ["contact_friction", "base_mass_offset", "base_com_offset"] {
         registry.depends_on_body(name);
     }
+    registry
+        .on_device(FormKind::Observation, "contact_friction", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    registry.on_device(FormKind::Observation, "base_mass_offset", |NoParams {}, robot| {
+        Some((vec![robot.nominal.mass[0]], Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Observation, "base_com_offset", |NoParams {}, robot| {
+        Some((robot.nominal.com[0].to_vec(), Some(Vec::new())))
+    });
     for name in ["feet_contact_force", "feet_air_time", "feet_height"] {
         registry.on_device(FormKind::Observation, name, |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
     }

@@ -12,7 +12,8 @@ use crate::components::{Body, Env, EnvId, EnvRng, Episode, Morphology, Robot, St
 use crate::config::quantities::{Angle, BodyFactor, Power, Strength};
 use crate::config::{Distribution, Draw, Operation, values};
 use crate::dynamics::{ActuatorNetwork, Parameters, SharedArray};
-use crate::morphology::Morphologies;
+use crate::engine::device::{BODY_NUMBERS, BodyList, DrawForm, FormKind};
+use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::Autoreset;
 use crate::variation::BodyScales;
 use crate::world::Ground;
@@ -137,6 +138,17 @@ impl TryFrom<UncheckedGains> for ActuatorGains {
     }
 }
 
+impl ActuatorGains {
+    /// The draws for a robot.
+    fn draws(&self, robot: &MorphologyModel) -> [Option<Draw>; 2] {
+        let own = &robot.config.randomization;
+        match &self.0 {
+            Source::Robot => [Some(own.stiffness), Some(own.damping)],
+            Source::Task(draws) => *draws,
+        }
+    }
+}
+
 /// Draws for armature, dry friction and viscous friction of each joint: the robots' own, or the
 /// task's.
 #[derive(Deserialize)]
@@ -168,12 +180,30 @@ impl TryFrom<UncheckedJoints> for JointParameters {
     }
 }
 
+impl JointParameters {
+    /// The draws for a robot.
+    fn draws(&self, robot: &MorphologyModel) -> [Option<Draw>; 3] {
+        let own = &robot.config.randomization;
+        match &self.0 {
+            Source::Robot => [Some(own.armature), Some(own.joint_friction), own.joint_damping],
+            Source::Task(draws) => *draws,
+        }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MotorStrength {
     /// Share of its torque that each motor gives. Default: each robot's own range.
     #[serde(default, deserialize_with = "values::optional_range_of::<Strength, _, _>")]
     strength_range: Option<[f64; 2]>,
+}
+
+impl MotorStrength {
+    /// The range for a robot.
+    fn range(&self, robot: &MorphologyModel) -> [f32; 2] {
+        self.strength_range.unwrap_or(robot.config.randomization.motor_strength).map(|x| x as f32)
+    }
 }
 
 /// Variation that a task gives all robots, in addition to each robot's own `[variation]`.
@@ -212,6 +242,133 @@ pub(super) fn register(registry: &mut Registry) {
     registry.body_event("randomize_actuator_gains", randomize_actuator_gains);
     registry.body_event("randomize_joint_parameters", randomize_joint_parameters);
     registry.body_event("randomize_motor_strength", randomize_motor_strength);
+    on_device(registry);
+}
+
+/// Most values of a coefficient of friction that the device has a table of.
+const MOST_VALUES: u32 = 4096;
+
+/// The numbers of these events in `device/env.h`. [`BODY_VARIATION`] has none: it computes in
+/// double precision.
+fn on_device(registry: &mut Registry) {
+    registry.on_device(FormKind::BodyEvent, PHYSICS_MATERIAL, |p: PhysicsMaterial, robot| {
+        let ranges = &robot.config.randomization;
+        let last = p.num_buckets.max(1) - 1;
+        let spins = p.spin_ranges(robot);
+        let two = [
+            Some(p.static_friction_range.unwrap_or(ranges.static_friction)),
+            Some(p.dynamic_friction_range.unwrap_or(ranges.dynamic_friction)),
+        ];
+        let values = two.into_iter().chain(spins).flatten();
+        let values = values.flat_map(|range| (0..=last).map(move |at| bucket(range, last, at)));
+        let integers = vec![last.cast_signed(), i32::from(spins[0].is_some()), i32::from(spins[1].is_some())];
+        (last < MOST_VALUES).then(|| (values.collect(), Some(integers)))
+    });
+    registry.on_device(FormKind::BodyEvent, "add_base_mass", |p: BaseMass, robot| {
+        let range = p.mass_scale_range.unwrap_or(robot.config.randomization.base_mass_offset);
+        let integers = vec![i32::from(p.recompute_inertia), i32::from(p.mass_scale_range.is_some())];
+        Some((range.map(|x| x as f32).to_vec(), Some(integers)))
+    });
+    registry.on_device(FormKind::BodyEvent, "base_com", |NoParams {}, robot| {
+        let offset = &robot.config.randomization.base_com_offset;
+        let ranges = [offset.x, offset.y, offset.z].map(|range| range.map(|x| x as f32));
+        Some((ranges.as_flattened().to_vec(), Some(Vec::new())))
+    });
+    registry.on_device(FormKind::BodyEvent, "randomize_actuator_gains", |p: ActuatorGains, robot| {
+        let [stiffness, damping] = p.draws(robot);
+        draw_lists(robot, &[(stiffness, BodyList::Stiffness), (damping, BodyList::Damping)])
+    });
+    registry.on_device(FormKind::BodyEvent, "randomize_joint_parameters", |p: JointParameters, robot| {
+        let [armature, friction, viscous] = p.draws(robot);
+        let viscous = (viscous, BodyList::JointDamping);
+        draw_lists(robot, &[(armature, BodyList::Armature), (friction, BodyList::JointFriction), viscous])
+    });
+    registry.on_device(FormKind::BodyEvent, "randomize_motor_strength", |p: MotorStrength, robot| {
+        Some((p.range(robot).to_vec(), Some(Vec::new())))
+    });
+}
+
+/// Numbers and integers of draws for each joint, if all are uniform: the others need the logarithm
+/// in double precision.
+fn draw_lists(robot: &MorphologyModel, draws: &[(Option<Draw>, BodyList)]) -> Option<(Vec<f32>, Option<Vec<i32>>)> {
+    let (mut numbers, mut integers) = (Vec::new(), Vec::new());
+    for (draw, list) in draws.iter().filter_map(|(draw, list)| draw.map(|draw| (draw, *list))) {
+        if draw.distribution != Distribution::Uniform {
+            return None;
+        }
+        let operation = match draw.operation {
+            Operation::Add => DrawForm::Add,
+            Operation::Scale => DrawForm::Scale,
+            Operation::Abs => DrawForm::Abs,
+            Operation::AddEffortShare => DrawForm::AddEffortShare,
+        };
+        numbers.extend(draw.distribution_params.map(|x| x as f32));
+        integers.extend([list.code(), operation.code()]);
+    }
+    numbers.extend(robot.effort_shares());
+    Some((numbers, Some(integers)))
+}
+
+/// Numbers of a body that events at resets change, as the device has them: see [`BodyList`].
+pub(super) fn changing_numbers(p: &Parameters<f32>) -> Vec<f32> {
+    let [com, inertia] = [p.com[0].as_slice(), p.inertia[0].as_slice()];
+    let friction = [p.static_friction, p.dynamic_friction, p.torsional_friction, p.rolling_friction];
+    let numbers = [&[p.mass[0]], com, inertia, &friction].concat();
+    debug_assert_eq!(numbers.len(), BODY_NUMBERS);
+    let lists = BodyList::ALL.iter().flat_map(|&list| list_of(p, list).iter());
+    numbers.iter().chain(lists).copied().collect()
+}
+
+/// Gives a body those numbers. Lists that have them stay shared.
+pub(super) fn set_changing_numbers(p: &mut Parameters<f32>, numbers: &[f32]) {
+    let bits = |numbers: &[f32]| numbers.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+    let (base, mut lists) = numbers.split_at(BODY_NUMBERS);
+    p.mass[0] = base[0];
+    p.com[0].copy_from_slice(&base[1..4]);
+    p.inertia[0].copy_from_slice(&base[4..10]);
+    (p.static_friction, p.dynamic_friction) = (base[10], base[11]);
+    (p.torsional_friction, p.rolling_friction) = (base[12], base[13]);
+    for list in BodyList::ALL {
+        let joints = list_of(p, list).len();
+        let (own, rest) = lists.split_at(joints);
+        lists = rest;
+        if bits(list_of(p, list)) != bits(own) {
+            list_of_mut(p, list).iter_mut().zip(own).for_each(|(x, own)| *x = *own);
+        }
+    }
+}
+
+fn list_of(p: &Parameters<f32>, list: BodyList) -> &SharedArray<f32> {
+    match list {
+        BodyList::Stiffness => &p.stiffness,
+        BodyList::Damping => &p.damping,
+        BodyList::EffortLimit => &p.effort_limit,
+        BodyList::SaturationEffort => &p.saturation_effort,
+        BodyList::Armature => &p.armature,
+        BodyList::JointFriction => &p.joint_friction,
+        BodyList::JointDamping => &p.joint_damping,
+    }
+}
+
+fn list_of_mut(p: &mut Parameters<f32>, list: BodyList) -> &mut SharedArray<f32> {
+    match list {
+        BodyList::Stiffness => &mut p.stiffness,
+        BodyList::Damping => &mut p.damping,
+        BodyList::EffortLimit => &mut p.effort_limit,
+        BodyList::SaturationEffort => &mut p.saturation_effort,
+        BodyList::Armature => &mut p.armature,
+        BodyList::JointFriction => &mut p.joint_friction,
+        BodyList::JointDamping => &mut p.joint_damping,
+    }
+}
+
+/// Whether a reset that starts from the body of the startup events undoes all changes but those of
+/// [`changing_numbers`].
+pub(super) fn differs_as_resets_do(body: &Parameters<f32>, stance: &Stance, startup: &StartupBody) -> bool {
+    let Some(startup) = &startup.0 else { return false };
+    let mut changed = startup.0.clone();
+    set_changing_numbers(&mut changed, &changing_numbers(body));
+    *stance == startup.1 && !changed.any_with(body, |own, other| own.to_bits() != other.to_bits())
 }
 
 /// Varies the body, by the ranges of the robot's `[variation]` and of the task.
@@ -246,15 +403,19 @@ fn body_variation(p: &TaskVariation, body: &mut NewBody, rng: &mut EnvRng) {
 fn physics_material(p: &PhysicsMaterial, body: &mut NewBody, rng: &mut EnvRng) {
     let ranges = &body.morphology.config.randomization;
     let last = p.num_buckets.max(1) - 1;
-    let mut draw = |[low, high]: [f64; 2]| {
-        let share = if last == 0 { 0.5 } else { f64::from(rng.integer([0, last])) / f64::from(last) };
-        (low + (high - low) * share) as f32
-    };
+    let mut draw = |range: [f64; 2]| bucket(range, last, if last == 0 { 0 } else { rng.integer([0, last]) });
     let static_friction = draw(p.static_friction_range.unwrap_or(ranges.static_friction));
     let dynamic_friction = draw(p.dynamic_friction_range.unwrap_or(ranges.dynamic_friction)).min(static_friction);
     let [torsional, rolling] = p.spin_ranges(body.morphology).map(|range| range.map(&mut draw));
     body.set_material(static_friction, dynamic_friction);
     body.set_spin_friction(torsional, rolling);
+}
+
+/// A value between the ends of a range, one of `last` and one more that are equally spaced; the
+/// middle where there is one.
+fn bucket([low, high]: [f64; 2], last: u32, at: u32) -> f32 {
+    let share = if last == 0 { 0.5 } else { f64::from(at) / f64::from(last) };
+    (low + (high - low) * share) as f32
 }
 
 /// Adds mass to the base, or scales it, and, unless told otherwise, scales its inertia with it.
@@ -284,11 +445,7 @@ fn base_com(_: &NoParams, body: &mut NewBody, rng: &mut EnvRng) {
 
 /// Stiffness and damping of each actuator for itself; joints that a network drives keep none.
 fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut EnvRng) {
-    let own = &body.morphology.config.randomization;
-    let [stiffness, damping] = match &p.0 {
-        Source::Robot => [Some(own.stiffness), Some(own.damping)],
-        Source::Task(draws) => *draws,
-    };
+    let [stiffness, damping] = p.draws(body.morphology);
     each_joint(stiffness, body, |p| &mut p.stiffness, rng);
     each_joint(damping, body, |p| &mut p.damping, rng);
     // networks have no gains, whatever was drawn
@@ -299,11 +456,7 @@ fn randomize_actuator_gains(p: &ActuatorGains, body: &mut NewBody, rng: &mut Env
 
 /// Armature, dry friction and viscous friction of each joint for itself.
 fn randomize_joint_parameters(p: &JointParameters, body: &mut NewBody, rng: &mut EnvRng) {
-    let own = &body.morphology.config.randomization;
-    let [armature, friction, viscous] = match &p.0 {
-        Source::Robot => [Some(own.armature), Some(own.joint_friction), own.joint_damping],
-        Source::Task(draws) => *draws,
-    };
+    let [armature, friction, viscous] = p.draws(body.morphology);
     each_joint(armature, body, |p| &mut p.armature, rng);
     each_joint(friction, body, |p| &mut p.joint_friction, rng);
     each_joint(viscous, body, |p| &mut p.joint_damping, rng);
@@ -327,7 +480,7 @@ fn each_joint(draw: Option<Draw>, body: &mut NewBody, list: JointList, rng: &mut
 /// share of the torque. The speed without load stays. Where a network gives the torque, only the
 /// limits are scaled.
 fn randomize_motor_strength(p: &MotorStrength, body: &mut NewBody, rng: &mut EnvRng) {
-    let range = p.strength_range.unwrap_or(body.morphology.config.randomization.motor_strength).map(|x| x as f32);
+    let range = p.range(body.morphology);
     let b = &mut *body.parameters;
     for j in 0..b.stiffness.len() {
         let share = rng.uniform(range);

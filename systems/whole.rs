@@ -12,19 +12,20 @@ use smallvec::SmallVec;
 
 use super::physics::{PhysicsEngine, upload_bodies};
 use super::sense::{describe_present_bodies, measure_states};
+use super::startup::{changing_numbers, differs_as_resets_do, set_changing_numbers};
 use super::terms::{CompiledTask, Registry};
 use super::views::ViewParam;
 use super::{BrokenStates, ControlStep, Logs, PolypodPlugins, ResetEnvs, faults};
 use crate::batch::Batch;
 use crate::blocks::{Block, BlockSizes, Blocks};
 use crate::components::{
-    Action, Body, Command, ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin, EnvRng, Episode,
-    EpisodeSums, EventTimers, JointTargets, Robot, Stance,
+    Action, Body, Command, CommandNumbers, ContactForces, ContactSensor, CurriculumProgress, Env, EnvId, EnvOrigin,
+    EnvRng, Episode, EpisodeSums, EventTimers, JointTargets, Robot, Stance, StartupBody,
 };
 use crate::engine::device::{
     Column, Device, DeviceError, DeviceRows, Ended, EnvHost, Flow, RowSizes, RowsOf, SLOTS, TaskTables, Word, flags,
 };
-use crate::engine::{DivergenceRecord, RobotColumns, RobotSlices, WholeSteps};
+use crate::engine::{BrokenRobot, DivergenceRecord, RobotColumns, RobotSlices, WholeSteps};
 use crate::error::Error;
 use crate::morphology::{Morphologies, MorphologyModel};
 use crate::options::Autoreset;
@@ -144,6 +145,9 @@ pub(crate) fn enter_device(world: &mut World) -> Result<bool, Error> {
     if !describe_present_bodies(world)? {
         return Ok(false);
     }
+    if !are_bodies_of_resets(world) {
+        return Ok(false);
+    }
     faults::outcome::<(), ()>(world.run_system_cached(upload_bodies))?;
     world.insert_resource(NewTables(tables, Vec::new()));
     world.init_resource::<OnDevice>();
@@ -153,11 +157,18 @@ pub(crate) fn enter_device(world: &mut World) -> Result<bool, Error> {
     entered
 }
 
+/// Whether all bodies are such as the device's resets make them: a caller may have changed more.
+fn are_bodies_of_resets(world: &mut World) -> bool {
+    let changes = !world.resource::<CompiledTask>().reset_body_events.is_empty();
+    let mut robots = world.query_filtered::<(&Body, &Stance, &StartupBody), With<Robot>>();
+    !changes || robots.iter(world).all(|(body, stance, startup)| differs_as_resets_do(&body.0, stance, startup))
+}
+
 /// Components of envs that the device keeps.
 type EnvColumns = (
     &'static Episode,
     &'static EnvRng,
-    &'static Command,
+    (&'static Command, &'static CommandNumbers),
     &'static EventTimers,
     &'static EpisodeSums,
     &'static CurriculumProgress,
@@ -171,7 +182,7 @@ fn enter(
     mut known: ResMut<OnDevice>,
     mut engine: ResMut<PhysicsEngine>,
     mut robots: Blocks<RobotColumns, Robot>,
-    more: Blocks<(&'static Action, &'static Stance, &'static Body), Robot>,
+    more: Blocks<(&'static Action, &'static Stance, &'static Body, &'static StartupBody), Robot>,
     sensors: Blocks<&'static ContactSensor, ContactSensor>,
     envs: Blocks<EnvColumns, Env>,
 ) -> Result<bool> {
@@ -193,12 +204,12 @@ fn enter(
     let mut tasks = Vec::new();
     for ((Block { envs, rows: (robots, of_envs), .. }, host), fresh) in blocks {
         known.before.extend(of_envs.5.iter().map(|progress| progress.steps));
-        known.commands.extend(of_envs.2.iter().flat_map(|command| command.velocity));
+        known.commands.extend(of_envs.2.0.iter().flat_map(|command| command.velocity));
         tasks.push((robots, of_envs, host, fresh, &new.1[envs]));
     }
     workers.for_each(tasks.into_iter(), |(robots, of_envs, mut host, fresh, kept)| {
-        let ((actions, stances, bodies), sensors) = robots;
-        let (episodes, rngs, commands, timers, sums, _, origins) = of_envs;
+        let ((actions, stances, bodies, startups), sensors) = robots;
+        let (episodes, rngs, (commands, others), timers, sums, progress, origins) = of_envs;
         for env in 0..actions.len() {
             let rows = &mut host.rows;
             rows.write(env, Column::Action, &actions[env].current);
@@ -217,6 +228,15 @@ fn enter(
             rows.write(env, Column::Stance, &[stance.action_scale, stance.spawn_height, bodies[env].0.total_mass()]);
             rows.write(env, Column::Origin, &origins[env].position);
             rows.write(env, Column::Kept, &kept[env]);
+            rows.write(env, Column::Progress, &[progress[env].widening, progress[env].tracking]);
+            if let Some(startup) = &startups[env].0 {
+                rows.write(env, Column::Startup, &changing_numbers(&startup.0));
+                rows.write(env, Column::Body, &changing_numbers(&bodies[env].0));
+            }
+            rows.write_wide(env, Word::Clock, progress[env].steps);
+            rows.write(env, Column::Numbers, &others[env].numbers);
+            rows.write(env, Column::Wait, &others[env].time_left);
+            rows.write_word(env, Word::Pinned, others[env].pinned);
             let (state, increment) = rngs[env].parts();
             rows.write_wide(env, Word::State, state);
             rows.write_wide(env, Word::Increment, increment);
@@ -428,9 +448,12 @@ fn tell(
     }
     let mut found = Vec::new();
     for (block, morphology, robot) in broken {
-        if let Some((record, length)) = whole.record(block, robot)?
-            && let Some(body) = body_of(world, record.env)
+        if let Some(BrokenRobot { record, length, body: numbers }) = whole.record(block, robot)?
+            && let Some(mut body) = body_of(world, record.env)
         {
+            if let Some(numbers) = numbers {
+                set_changing_numbers(&mut body.0, &numbers);
+            }
             found.push((DivergenceRecord { morphology, ..record }, length, body));
         }
     }
@@ -462,7 +485,8 @@ fn log(logs: &mut Logs, known: &OnDevice, (morphology, env): (usize, usize), end
     let terms = SmallVec::from_slice(&ended.terms);
     let mut sums = EpisodeSums { terms, steps: ended.steps, ..EpisodeSums::default() };
     set_totals(&mut sums, ended.totals);
-    let progress = CurriculumProgress { steps: known.before[env] + known.told, ..CurriculumProgress::default() };
+    let steps = known.before[env] + known.told;
+    let progress = CurriculumProgress { steps, widening: ended.widening, ..CurriculumProgress::default() };
     logs.add(morphology, &episode, &sums, &progress, level);
 }
 
@@ -547,6 +571,7 @@ impl Part<'_, '_> {
 pub(crate) fn leave_device(world: &mut World) -> Result<(), Error> {
     faults::outcome::<(), ()>(world.run_system_cached(leave_robots))?;
     faults::outcome::<(), ()>(world.run_system_cached(leave_envs))?;
+    faults::outcome::<(), ()>(world.run_system_cached(leave_bodies))?;
     measure_states(world)
 }
 
@@ -565,11 +590,38 @@ fn leave_robots(
     Ok(())
 }
 
+/// Writes the bodies that resets have changed.
+fn leave_bodies(
+    task: Res<CompiledTask>,
+    sizes: Res<BlockSizes>,
+    mut engine: ResMut<PhysicsEngine>,
+    mut robots: Query<(&EnvId, &mut Body), With<Robot>>,
+) {
+    let Some(whole) = engine.0.whole_steps() else { return };
+    if task.reset_body_events.is_empty() {
+        return;
+    }
+    let blocks = sizes.iter().filter(|(_, envs)| !envs.is_empty()).zip(whole.hosts());
+    let blocks: Vec<_> = blocks.map(|((_, envs), host)| (envs, host.rows)).collect();
+    for (EnvId(env), mut body) in &mut robots {
+        let env = *env as usize;
+        let place = blocks.partition_point(|(envs, _)| envs.end <= env);
+        let Some((envs, rows)) = blocks.get(place) else { continue };
+        let before = changing_numbers(&body.0);
+        let mut numbers = before.clone();
+        rows.read(env - envs.start, Column::Body, &mut numbers);
+        // bodies that stay go to no engine again
+        if numbers.iter().zip(&before).any(|(now, before)| now.to_bits() != before.to_bits()) {
+            set_changing_numbers(&mut body.0, &numbers);
+        }
+    }
+}
+
 /// Components of envs that the device has changed.
 type ChangedColumns = (
     &'static mut Episode,
     &'static mut EnvRng,
-    &'static mut Command,
+    (&'static mut Command, &'static mut CommandNumbers),
     &'static mut EventTimers,
     &'static mut EpisodeSums,
     &'static mut CurriculumProgress,
@@ -590,7 +642,7 @@ fn leave_envs(
     let steps = std::mem::take(&mut known.steps);
     let blocks = robots.write()?.zip(sensors.write()?).zip(envs.write()?).into_iter().zip(whole.hosts());
     workers.for_each(blocks, |(Block { morphology, rows, .. }, host)| {
-        let ((robots, sensors), (episodes, rngs, commands, timers, sums, progress, origins)) = rows;
+        let ((robots, sensors), (episodes, rngs, (commands, others), timers, sums, progress, origins)) = rows;
         let ((actions, targets, forces), feet) = (robots, &morphologies.get(morphology).feet);
         for env in 0..actions.len() {
             let rows = &host.rows;
@@ -600,6 +652,8 @@ fn leave_envs(
             let Command { velocity, heading, time_left, .. } = command;
             rows.read(env, Column::Command, velocity.iter_mut().chain([heading, time_left]));
             rows.read(env, Column::Timer, &mut timers[env].0);
+            rows.read(env, Column::Numbers, &mut others[env].numbers);
+            rows.read(env, Column::Wait, &mut others[env].time_left);
             let sum = &mut sums[env];
             rows.read(env, Column::Sum, &mut sum.terms);
             let mut totals = [0.0; 6];
@@ -618,6 +672,8 @@ fn leave_envs(
             let state = (rows.wide(env, Word::State), rows.wide(env, Word::Increment));
             rngs[env].set_parts(state);
             progress[env].steps += steps;
+            let CurriculumProgress { widening, tracking, .. } = &mut progress[env];
+            rows.read(env, Column::Progress, [widening, tracking]);
             rows.read(env, Column::Origin, &mut origins[env].position);
             origins[env].terrain_level = rows.word(env, Word::TileRow);
             let bits = rows.word(env, Word::Flags);

@@ -116,7 +116,7 @@ class VecEnv(rsl_rl.env.VecEnv):
 
     @property
     def could_have_card(self) -> bool:
-        """Whether a card could make the simulator's control steps, also where the CPU was faster."""
+        """Whether a card could make the control steps, also where the CPU is faster."""
         return type(self._source) is VecSim and self._source.lacks_on_device() is None
 
     @property

@@ -764,10 +764,17 @@ impl MorphologyModel {
     /// Largest effort of a joint at any position, N m, infinity without a limit; `body` holds the
     /// numbers of a robot of this kind.
     pub fn max_effort(&self, joint: usize, body: &Parameters<f32>) -> f32 {
-        let limit = body.effort_limit[joint];
-        match &self.topology.joints[joint].effort_table {
-            Some(table) => limit * table.limits.iter().copied().fold(0.0, f32::max),
-            None => limit,
-        }
+        body.effort_limit[joint] * self.effort_share(joint)
+    }
+
+    /// Largest share of its effort limit that a joint's effort table leaves.
+    fn effort_share(&self, joint: usize) -> f32 {
+        let table = self.topology.joints[joint].effort_table.as_ref();
+        table.map_or(1.0, |table| table.limits.iter().copied().fold(0.0, f32::max))
+    }
+
+    /// Largest share of its effort limit that each joint's effort table leaves.
+    pub(crate) fn effort_shares(&self) -> impl Iterator<Item = f32> + '_ {
+        (0..self.topology.num_joints()).map(|joint| self.effort_share(joint))
     }
 }

@@ -247,6 +247,14 @@ impl Ground {
         Some(order.into_iter().map(|row| row as u32).collect())
     }
 
+    /// The ground's own friction, static, dynamic, torsional and rolling, and the rule that
+    /// combines the first two with a robot's.
+    pub(crate) fn own_friction(&self) -> ([f32; 4], CoefficientCombine) {
+        let Friction { static_coefficient, dynamic_coefficient, combine_rule } = self.friction;
+        let [torsional, rolling] = self.spin_friction;
+        ([static_coefficient, dynamic_coefficient, torsional, rolling], combine_rule)
+    }
+
     /// Static and dynamic friction of a robot's surface on the ground, by the ground's combine
     /// rule.
     pub fn friction_with(&self, of_robot: [f32; 2]) -> [f32; 2] {

@@ -10,6 +10,7 @@ use super::{CommandKind, CommandSpec, CommandedRobot};
 use crate::components::EnvRng;
 use crate::config::quantities::{BodyFactor, Rise, Turns};
 use crate::config::values;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 
@@ -58,6 +59,12 @@ pub(super) fn register(registry: &mut Registry) {
         out.copy_from_slice(&r.commands.first::<3>(FOOT_PLACEMENT));
     });
     registry.needs_command("foot_placement_commands", FOOT_PLACEMENT);
+    registry.on_device(FormKind::Command, FOOT_PLACEMENT, |p, robot| {
+        Some((prepare(p, robot).ok()?.0.concat(), Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Observation, "foot_placement_commands", |NoParams {}, _| {
+        Some((Vec::new(), Some(Vec::new())))
+    });
 }
 
 fn prepare(p: PlacementParams, robot: &MorphologyModel) -> Result<PlacementCommand, (String, String, String)> {

@@ -11,6 +11,7 @@ use crate::config::quantities::{Frequency, Turns};
 use crate::config::values;
 use crate::dynamics::elementary::exp;
 use crate::dynamics::lanes::Real;
+use crate::engine::device::FormKind;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
 
@@ -65,6 +66,12 @@ pub(super) fn register(registry: &mut Registry) {
     });
     registry.needs_command("gait_commands", GAIT);
     registry.needs_command("clock_inputs", GAIT);
+    registry.on_device(FormKind::Command, GAIT, |p: GaitCommand, _| {
+        Some(([p.frequency, p.phase, p.offset, p.bound, p.duration].concat(), Some(Vec::new())))
+    });
+    for name in ["gait_commands", "clock_inputs"] {
+        registry.on_device(FormKind::Observation, name, |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
+    }
 }
 
 impl CommandKind for GaitCommand {

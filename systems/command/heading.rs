@@ -9,6 +9,7 @@ use super::{CommandKind, CommandSpec, CommandedRobot, heading, wrap_to_pi};
 use crate::components::EnvRng;
 use crate::config::quantities::Angle;
 use crate::config::values;
+use crate::engine::device::FormKind;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
 
@@ -34,6 +35,9 @@ pub(super) fn register(registry: &mut Registry) {
     let spec = TermSpec::new(TermKind::Odd, "rad", "angle by which the base is to turn left to the commanded heading");
     registry.observation("heading_commands", 1, spec, |_: &NoParams, r, out| out[0] = heading_error(r));
     registry.needs_command("heading_commands", HEADING);
+    registry.on_device(FormKind::Command, HEADING, |p: HeadingCommand, _| Some((p.heading.to_vec(), Some(Vec::new()))));
+    registry
+        .on_device(FormKind::Observation, "heading_commands", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
 }
 
 impl CommandKind for HeadingCommand {

@@ -9,6 +9,7 @@ use super::{CommandKind, CommandSpec, CommandedRobot};
 use crate::components::EnvRng;
 use crate::config::quantities::{Coordinate, Duration, Rise, Turns};
 use crate::config::values;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
@@ -59,6 +60,11 @@ pub(super) fn register(registry: &mut Registry) {
         out.copy_from_slice(&[time.clamp(-SEEN, SEEN), height, length]);
     });
     registry.needs_command("jump_commands", JUMP);
+    registry.on_device(FormKind::Command, JUMP, |p, robot| {
+        let JumpCommand { time, height, length } = prepare(p, robot).ok()?;
+        Some(([time, height, length].concat(), Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Observation, "jump_commands", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
 }
 
 fn prepare(p: JumpParams, robot: &MorphologyModel) -> Result<JumpCommand, (String, String, String)> {

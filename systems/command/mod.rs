@@ -24,6 +24,7 @@ use super::terms::{CompiledTask, NoParams, Registry};
 use super::{ControlStep, PipelineSet};
 use crate::blocks::{Block, Blocks};
 use crate::components::{BasePose, Command, CommandNumbers, CurriculumProgress, Env, EnvRng, Robot};
+use crate::engine::device::FormKind;
 use crate::workers::Workers;
 
 /// Draws commands, and lets those that follow the robot or the time follow it.
@@ -50,6 +51,7 @@ pub(super) fn register(registry: &mut Registry) {
     jump::register(registry);
     let description = "no command; a task that asks for nothing may say so";
     registry.command("none", CommandSpec { columns: &[], description }, |NoParams {}, _| Ok(Nothing));
+    registry.on_device(FormKind::Command, "none", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
 }
 
 /// The kind without numbers.

@@ -9,6 +9,7 @@ use super::{CommandKind, CommandSpec, CommandedRobot};
 use crate::components::EnvRng;
 use crate::config::quantities::{Angle, BodyFactor, Height};
 use crate::config::values;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 
@@ -48,6 +49,9 @@ pub(super) fn register(registry: &mut Registry) {
         out.copy_from_slice(&r.commands.first::<3>(POSE));
     });
     registry.needs_command("pose_commands", POSE);
+    registry
+        .on_device(FormKind::Command, POSE, |p, robot| Some((prepare(p, robot).ok()?.0.concat(), Some(Vec::new()))));
+    registry.on_device(FormKind::Observation, "pose_commands", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
 }
 
 fn prepare(p: PoseParams, robot: &MorphologyModel) -> Result<PoseCommand, (String, String, String)> {

@@ -10,6 +10,7 @@ use crate::components::EnvRng;
 use crate::config::quantities::{Angle, Coordinate};
 use crate::config::values;
 use crate::dynamics::elementary::atan2;
+use crate::engine::device::FormKind;
 use crate::systems::terms::{NoParams, Registry, TermKind, TermSpec};
 use crate::systems::view::RobotView;
 
@@ -51,6 +52,11 @@ pub(super) fn register(registry: &mut Registry) {
         out.copy_from_slice(&position_error(r));
     });
     registry.needs_command("position_commands", POSITION);
+    registry.on_device(FormKind::Command, POSITION, |p: PositionCommand, _| {
+        Some(([p.pos_x, p.pos_y, p.heading].concat(), Some(vec![i32::from(p.simple_heading)])))
+    });
+    registry
+        .on_device(FormKind::Observation, "position_commands", |NoParams {}, _| Some((Vec::new(), Some(Vec::new()))));
 }
 
 impl CommandKind for PositionCommand {

@@ -10,6 +10,7 @@ use crate::config::quantities::{Gain, Width};
 use crate::config::values;
 use crate::dynamics::elementary::{exp, tanh_positive};
 use crate::dynamics::lanes::Real;
+use crate::engine::device::FormKind;
 use crate::systems::command::gait::{GAIT, desired_contact, foot_clock};
 use crate::systems::command::heading::{HEADING, heading_error};
 use crate::systems::command::pose::POSE;
@@ -80,6 +81,20 @@ pub(super) fn register(registry: &mut Registry) {
     registry.needs_command("tracking_contacts_shaped_force", GAIT);
     registry.reward("tracking_contacts_shaped_vel", tracking_contacts_shaped_vel);
     registry.needs_command("tracking_contacts_shaped_vel", GAIT);
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    for name in ["track_base_height_exp", "position_command_error_tanh"] {
+        registry.reward_on_device(name, |p: Std| vec![p.std]);
+    }
+    registry.reward_on_device("orientation_control", |_: NoParams| Vec::new());
+    registry.on_device(FormKind::Reward, "heading_command_error_abs", |p: HeadingOf, _| {
+        Some((Vec::new(), Some(vec![i32::from(p.command_name == Heading::Position)])))
+    });
+    registry.reward_on_device("tracking_contacts_shaped_force", |p: ForceSigma| vec![p.gait_force_sigma]);
+    registry.reward_on_device("tracking_contacts_shaped_vel", |p: VelocitySigma| vec![p.gait_vel_sigma]);
 }
 
 /// exp(-e^2 / std^2) of the error e of the base's height, m.

@@ -6,6 +6,7 @@ use super::sum_of_squares;
 use crate::config::quantities::Width;
 use crate::config::values;
 use crate::dynamics::elementary::exp;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::command::jump::{JUMP, jump};
 use crate::systems::terms::{NoParams, Registry};
@@ -41,6 +42,12 @@ pub(super) fn register(registry: &mut Registry) {
     registry.needs_command("jump_velocity_exp", JUMP);
     registry.reward("jump_contacts", jump_contacts);
     registry.needs_command("jump_contacts", JUMP);
+    registry.on_device(FormKind::Reward, "jump_height_exp", |p, robot| {
+        let JumpHeight { default, inverse_square } = prepare_height(p, robot).ok()?;
+        Some((vec![default, inverse_square], Some(Vec::new())))
+    });
+    registry.reward_on_device("jump_velocity_exp", |p: VelocityParams| vec![p.std]);
+    registry.reward_on_device("jump_contacts", |_: NoParams| Vec::new());
 }
 
 fn prepare_height(p: HeightParams, robot: &MorphologyModel) -> Result<JumpHeight, (String, String, String)> {

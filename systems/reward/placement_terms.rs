@@ -4,6 +4,7 @@
 //! any number of legs, and follow a sideways velocity, too.
 
 use crate::config::VELOCITY_COMMAND;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::command::foot_placement::FOOT_PLACEMENT;
 use crate::systems::command::gait::{GAIT, desired_contact, foot_clock};
@@ -27,6 +28,12 @@ pub(super) fn register(registry: &mut Registry) {
         registry.needs_command("feet_clearance_cmd_linear", command);
     }
     registry.needs_command("raibert_heuristic", VELOCITY_COMMAND);
+    for name in ["raibert_heuristic", "feet_clearance_cmd_linear"] {
+        registry.on_device(FormKind::Reward, name, |p, robot| {
+            let DefaultFeet { place, height } = prepare(p, robot).ok()?;
+            Some((place.concat().into_iter().chain(height).collect(), Some(Vec::new())))
+        });
+    }
 }
 
 fn prepare(_: NoParams, robot: &MorphologyModel) -> Result<DefaultFeet, (String, String, String)> {

@@ -9,6 +9,7 @@ use super::sum_of_squares;
 use crate::config::quantities::{BodyFactor, Factor, ForceThreshold, Height, Width};
 use crate::config::{did_you_mean, values};
 use crate::dynamics::elementary::exp;
+use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
 use crate::systems::terms::Registry;
 use crate::systems::view::RobotView;
@@ -90,6 +91,24 @@ pub(super) fn register(registry: &mut Registry) {
     registry.reward_for("torso_height", prepare_torso, torso_height);
     registry.reward("posture", posture);
     registry.reward_for("feet_off_ground", prepare_off_ground, feet_off_ground);
+    on_device(registry);
+}
+
+/// The numbers of these terms in `device/env.h`.
+fn on_device(registry: &mut Registry) {
+    registry.on_device(FormKind::Reward, "upright", |p, robot| {
+        let Upright { inverse_square, up: [x, y, z] } = prepare_upright(p, robot).ok()?;
+        Some((vec![inverse_square, x, y, z], Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Reward, "torso_height", |p, robot| {
+        let Torso { target, inverse_square } = prepare_torso(p, robot).ok()?;
+        Some((vec![target, inverse_square], Some(Vec::new())))
+    });
+    registry.reward_on_device("posture", |p: Posture| vec![p.std]);
+    registry.on_device(FormKind::Reward, "feet_off_ground", |p, robot| {
+        let OffGround { bodies, threshold } = prepare_off_ground(p, robot).ok()?;
+        Some((vec![threshold], Some(bodies.into_iter().map(|body| body as i32).collect())))
+    });
 }
 
 fn prepare_upright(p: UprightParams, _: &MorphologyModel) -> Result<Upright, Problem> {

@@ -1,5 +1,7 @@
 //! Tables of a task for a device, where all that the task uses has a form there.
 
+use avian3d::prelude::CoefficientCombine;
+
 use super::super::view::RobotView;
 use super::compile::{CompiledTask, ILLEGAL_STATE, ObservationTerm};
 use super::registry::Registry;
@@ -7,7 +9,8 @@ use super::spec::TermKind;
 use crate::bounds::MAX_ACTION;
 use crate::config::{EventMode, HeightScannerConfig, JointPositionMode};
 use crate::engine::device::{
-    AutoresetForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm, TaskTables, Tiles,
+    AutoresetForm, CombineForm, CommandForm, Delay, Form, FormKind, ObservationForm, RewardForm, Slot, TaskForm,
+    TaskTables, Tiles,
 };
 use crate::morphology::MorphologyModel;
 use crate::options::Autoreset;
@@ -44,13 +47,18 @@ impl CompiledTask {
             if term.is_external || (term.error > 0.0 && term.noise > 0.0) {
                 return Err(format!("the observation `{}`", term.name));
             }
-            let form = if registry.is_of_body(&named.term) && term.write.is_some() {
+            let form = if self.is_kept(registry, term) {
                 let at = kept as i32;
                 kept += self.own_numbers(term, robot);
                 let sort = if term.spec.kind == TermKind::PerJoint { "kept_of_joints" } else { "kept" };
                 Form::new(FormKind::Observation, sort, Vec::new(), Some(vec![at])).ok_or("numbers of a body")?
             } else {
-                find(FormKind::Observation, "observation", &named.term, &named.params)?
+                let what = match registry.is_of_body(&named.term) {
+                    true => "at resets that change bodies, the observation",
+                    false => "the observation",
+                };
+                let form = registry.form(FormKind::Observation, &named.term, &named.params, robot);
+                form.ok_or_else(|| format!("{what} `{}`", named.term))?
             };
             observations.push(ObservationForm {
                 form,
@@ -64,15 +72,31 @@ impl CompiledTask {
             });
             column += term.size;
         }
-        let (intervals, resets) = self.event_forms(registry, robot)?;
+        let EventForms { intervals, resets, bodies } = self.event_forms(registry, robot)?;
         let mut curricula = Vec::new();
         for (name, curriculum) in config.curriculum.iter().filter(|(_, curriculum)| curriculum.enabled) {
             let term = curriculum.term.as_ref().unwrap_or(name);
-            curricula.push(find(FormKind::Curriculum, "curriculum", term, &curriculum.params)?);
+            let form = find(FormKind::Curriculum, "curriculum", term, &curriculum.params)?;
+            let full = self.max_episode_length as f32 * self.step_dt;
+            curricula.push(match self.schedules.tracking_term(term, &self.rewards[index]) {
+                Some(at) => form.after(&[full], &[at as i32]),
+                None => form,
+            });
         }
+        let mut other_commands = Vec::new();
+        for command in &self.command_terms {
+            let named = config.commands.others.get(&command.name).ok_or("a command that is unknown")?;
+            other_commands.push(CommandForm {
+                form: find(FormKind::Command, "command", &command.name, &named.params)?,
+                numbers: command.range.clone(),
+                resampling: command.resampling_time_s,
+            });
+        }
+        let ranges = &self.velocity_ranges[index];
+        let (ground_friction, combine) = ground.own_friction();
         let (commands, reset) = (&self.commands[index], &robot.config.reset);
         let single = |range: [f64; 2]| range.map(|x| x as f32);
-        let [forward, left, yaw] = self.velocity_ranges[index].base();
+        let [forward, left, yaw] = ranges.base();
         Ok(TaskTables::new(&TaskForm {
             slots: (robot.slots.iter())
                 .map(|slot| Slot { joint: slot.joint(), column: slot.column(), sign: slot.sign })
@@ -125,6 +149,18 @@ impl CompiledTask {
                 .as_ref()
                 .map(|tiles| Tiles { num: [tiles.num_rows, tiles.num_cols], size: tiles.size }),
             rays: config.sensors.height_scanner.as_ref().map(HeightScannerConfig::rays).unwrap_or_default(),
+            stages: ranges.stages().to_vec(),
+            widest: ranges.widest(),
+            body_events: bodies,
+            other_commands,
+            ground_friction,
+            combine: match combine {
+                CoefficientCombine::Average => CombineForm::Average,
+                CoefficientCombine::GeometricMean => CombineForm::GeometricMean,
+                CoefficientCombine::Min => CombineForm::Min,
+                CoefficientCombine::Multiply => CombineForm::Multiply,
+                CoefficientCombine::Max => CombineForm::Max,
+            },
         }))
     }
 
@@ -134,9 +170,14 @@ impl CompiledTask {
         if term.spec.kind == TermKind::PerJoint { size / self.num_joints * robot.slots.len() } else { size }
     }
 
+    /// Whether the device keeps the numbers of an observation, which change with the body alone.
+    fn is_kept(&self, registry: &Registry, term: &ObservationTerm) -> bool {
+        registry.is_of_body(&term.name) && term.write.is_some() && self.reset_body_events.is_empty()
+    }
+
     /// Writes the numbers of a robot's body that observations show, as the device keeps them.
     pub(in crate::systems) fn write_kept(&self, registry: &Registry, view: &RobotView, out: &mut Vec<f32>) {
-        for term in self.observations.iter().filter(|term| registry.is_of_body(&term.name)) {
+        for term in self.observations.iter().filter(|term| self.is_kept(registry, term)) {
             if let Some(write) = &term.write {
                 let first = out.len();
                 out.resize(first + self.own_numbers(term, view.morphology), 0.0);
@@ -154,8 +195,6 @@ impl CompiledTask {
         let lacks = [
             (self.config.physics.mirror_links, "physics.mirror_links"),
             (sensors.ray_caster_camera.is_some(), "sensors.ray_caster_camera"),
-            (!self.command_terms.is_empty(), "a command other than the velocity"),
-            (!self.reset_body_events.is_empty(), "an event that changes bodies at a reset"),
         ];
         lacks.into_iter().find(|(lacks, _)| *lacks).map_or(Ok(()), |(_, what)| Err(what.to_owned()))
     }
@@ -172,19 +211,13 @@ impl CompiledTask {
                 registry.form(FormKind::Reward, of.term.as_ref().unwrap_or(&term.name), &of.params, robot)
             });
             let form = form.ok_or_else(|| format!("the reward `{}`", term.name))?;
-            rewards.push(RewardForm { form, weight: term.weight });
+            rewards.push(RewardForm { form, weight: term.weight, later: term.later.clone() });
         }
         Ok(rewards)
     }
 
-    /// Interval events and those of a reset, in the order in which they happen.
-    #[expect(clippy::type_complexity, reason = "two lists")]
-    fn event_forms(
-        &self,
-        registry: &Registry,
-        robot: &MorphologyModel,
-    ) -> Result<(Vec<([f32; 2], Form)>, Vec<Form>), String> {
-        let (mut intervals, mut resets) = (Vec::new(), Vec::new());
+    fn event_forms(&self, registry: &Registry, robot: &MorphologyModel) -> Result<EventForms, String> {
+        let (mut intervals, mut resets, mut bodies) = (Vec::new(), Vec::new(), Vec::new());
         for (name, event) in self.config.events.iter().filter(|(_, event)| event.enabled) {
             let of_kind = |kind| {
                 let form = registry.form(kind, name, &event.params, robot);
@@ -197,17 +230,34 @@ impl CompiledTask {
                     let time = event.interval_range_s.unwrap_or_default().map(|x| x as f32);
                     intervals.push((place, (time, of_kind(FormKind::Interval)?)));
                 }
-                EventMode::Reset => {
-                    let place = registry.reset.get(name.as_str()).map(|(place, _)| *place);
-                    resets.push((place, of_kind(FormKind::Reset)?));
-                }
+                EventMode::Reset => match registry.body.get(name.as_str()) {
+                    Some((place, _)) => bodies.push((*place, of_kind(FormKind::BodyEvent)?)),
+                    None => {
+                        let place = registry.reset.get(name.as_str()).map(|(place, _)| *place);
+                        resets.push((place, of_kind(FormKind::Reset)?));
+                    }
+                },
             }
         }
         intervals.sort_by_key(|(place, _)| *place);
         resets.sort_by_key(|(place, _)| *place);
-        let (intervals, resets) = (intervals.into_iter().map(|of| of.1), resets.into_iter().map(|of| of.1));
-        Ok((intervals.collect(), resets.collect()))
+        bodies.sort_by_key(|(place, _)| *place);
+        Ok(EventForms {
+            intervals: intervals.into_iter().map(|of| of.1).collect(),
+            resets: resets.into_iter().map(|of| of.1).collect(),
+            bodies: bodies.into_iter().map(|of| of.1).collect(),
+        })
     }
+}
+
+/// Events of a task, each sort in the order in which they happen.
+struct EventForms {
+    /// Events that happen again and again, each with the range of its time, s.
+    intervals: Vec<([f32; 2], Form)>,
+    /// Events of a new state.
+    resets: Vec<Form>,
+    /// Events of a new body.
+    bodies: Vec<Form>,
 }
 
 #[cfg(test)]

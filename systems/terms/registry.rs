@@ -320,6 +320,7 @@ impl Registry {
             let p: P = parse_params(file, element, table)?;
             Ok(Box::new(move |body: &mut NewBody, rng: &mut EnvRng| f(&p, body, rng)))
         });
+        self.forms.remove(&(FormKind::BodyEvent, name));
         self.body.insert(name, (self.body.len(), build));
     }
 
@@ -369,6 +370,7 @@ impl Registry {
                 }
             }
         });
+        self.forms.remove(&(FormKind::Command, name));
         self.commands.insert(name, RegisteredCommand { spec, build: Some(build) });
     }
 

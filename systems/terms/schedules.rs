@@ -23,6 +23,7 @@ use crate::config::quantities::{SpeedThreshold, Steps, Weight};
 use crate::config::{
     ConfigError, ConfigErrorKind, TaskConfig, VelocityCommandConfig, did_you_mean, parse_params, values,
 };
+use crate::engine::device::FormKind;
 use crate::morphology::{Morphologies, MorphologyModel};
 
 /// Names of the terms.
@@ -109,6 +110,13 @@ pub(super) fn register(registry: &mut Registry) {
     registry.curriculum(COMMANDS_VEL, |_: &CommandsVel, _, _| {});
     // Weight of a reward from a control step of the simulation on.
     registry.curriculum(MODIFY_REWARD_WEIGHT, |_: &ModifyRewardWeight, _, _| {});
+    registry.on_device(FormKind::Curriculum, COMMAND_CURRICULUM, |p: CommandCurriculum, _| {
+        Some((vec![p.threshold as f32, p.step, MAX_COMMAND as f32], Some(Vec::new())))
+    });
+    registry.on_device(FormKind::Curriculum, COMMANDS_VEL, |_: CommandsVel, _| Some((Vec::new(), Some(Vec::new()))));
+    registry.on_device(FormKind::Curriculum, MODIFY_REWARD_WEIGHT, |_: ModifyRewardWeight, _| {
+        Some((Vec::new(), Some(Vec::new())))
+    });
 }
 
 /// Moves the running mean of an env's tracking reward, and widens its ranges where that is high.
@@ -157,6 +165,16 @@ impl VelocityRanges {
             }
         }
         ranges
+    }
+
+    /// The ranges from later control steps on, in the order of the steps.
+    pub(super) fn stages(&self) -> &[(u64, [[f32; 2]; 3])] {
+        &self.stages
+    }
+
+    /// Ranges beyond which none is widened; absent for those that are not widened.
+    pub(super) fn widest(&self) -> [Option<[f32; 2]>; 3] {
+        self.widest
     }
 
     /// The ranges in front of any change.
@@ -241,6 +259,13 @@ impl Schedules {
         }
         schedules.weights.values_mut().for_each(|weights| weights.sort_by_key(|(step, _)| *step));
         Ok(schedules)
+    }
+
+    /// Place of the term that pays a robot for tracking, where the curriculum `term` widens
+    /// commands by it.
+    pub(super) fn tracking_term(&self, term: &str, terms: &[RewardTerm]) -> Option<usize> {
+        let (_, widening) = self.widening.as_ref().filter(|_| term == COMMAND_CURRICULUM)?;
+        tracking_term(&widening.reward_terms, terms)
     }
 
     /// Weights of a reward entry from later control steps on.

@@ -1,6 +1,7 @@
 //! The device makes whole control steps with the bits of the systems: actions, commands, pushes,
 //! sensors, ends, rewards, resets and observations. The host stands for the card.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use bevy_app::App;
 use bevy_ecs::prelude::*;
-use polypod::components::{Body, EnvId, EnvOrigin, LinkForce, LinkForces};
+use polypod::components::{Body, CommandNumbers, CurriculumProgress, EnvId, EnvOrigin, LinkForce, LinkForces};
 use polypod::dump::Dump;
 use polypod::engine::{DeviceRows, OnDevice, RowsOf};
 use polypod::systems::{ControlStep, PipelineSet, PolypodPlugins, add_engine};
@@ -151,8 +152,19 @@ fn that_flow_while_nobody_looks() {
     }
 }
 
-/// Bodies that change at resets, which has no form on the device.
-const CHANGING: &str = "events.randomize_actuator_gains={mode=\"reset\", enabled=true}";
+/// Bodies that change at resets in a way that has no form on the device.
+const CHANGING: &str = "events.randomize_actuator_gains={mode=\"reset\", enabled=true, \
+                        distribution=\"log_uniform\", stiffness_distribution_params=[0.8, 1.2]}";
+
+/// All events of a body that have a form there, at resets.
+const BODIES: [&str; 6] = [
+    "events.physics_material.mode=reset",
+    "events.add_base_mass.mode=reset",
+    "events.base_com.mode=reset",
+    "events.randomize_actuator_gains={mode=\"reset\", enabled=true}",
+    "events.randomize_joint_parameters={mode=\"reset\", enabled=true}",
+    "events.randomize_motor_strength={mode=\"reset\", enabled=true}",
+];
 
 /// A simulation whose engine is to find out what is fastest.
 fn undecided(mut options: SimOptions) -> Sim {
@@ -402,6 +414,214 @@ fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
     assert!((40..=90).contains(&device.steps_on_device()), "{}", device.steps_on_device());
 }
 
+/// Numbers of bodies that differ from one episode to the next, over all robots.
+fn drawn_masses(sim: &mut Sim) -> Vec<(u32, u32)> {
+    let world = sim.world_mut();
+    let mut all: Vec<(u32, u32)> =
+        world.query::<(&EnvId, &Body)>().iter(world).map(|(env, body)| (env.0, body.0.mass[0].to_bits())).collect();
+    all.sort_unstable();
+    all
+}
+
+#[test]
+fn of_bodies_that_change_at_resets() {
+    let mut options = SimOptions { threads: Some(2), ..busy(&ROBOTS, 70) };
+    options.overrides.extend(BODIES.map(String::from));
+    let mut drawn = HashSet::new();
+    compare_and(options, size(140, 600), 100, "flat", |sim| drawn.extend(drawn_masses(sim)));
+    assert!(drawn.len() > 150, "{}", drawn.len());
+    // the same on uneven ground, next to levels that draw from the same numbers
+    let mut uneven = rough("velocity_rough", 40);
+    uneven.overrides.extend(BODIES.map(String::from));
+    compare(uneven, 100, 40, "rough");
+    // numbers that a critic sees of them, other rules, draws of the task, torsional and rolling
+    // friction
+    let mut other = busy(&["unitree_go2", "anymal_c"], 40);
+    other.overrides.extend(BODIES.map(String::from));
+    other.overrides.extend(
+        [
+            "scene.ground.friction_combine=average",
+            "scene.ground.torsional_friction=0.003",
+            "events.physics_material={mode=\"reset\", num_buckets=5, torsional_friction_range=[0.0, 0.02], \
+             rolling_friction_range=[0.0, 0.004]}",
+            "events.add_base_mass={mode=\"reset\", recompute_inertia=false, mass_scale_range=[0.7, 1.4]}",
+            "events.randomize_actuator_gains={mode=\"reset\", enabled=true, operation=\"add\", \
+             stiffness_distribution_params=[-9.0, 9.0]}",
+            "events.randomize_joint_parameters={mode=\"reset\", enabled=true, operation=\"add_effort_share\", \
+             armature_distribution_params=[0.0, 1e-3], viscous_friction_distribution_params=[0.0, 0.01]}",
+            "events.randomize_motor_strength={mode=\"reset\", enabled=true, strength_range=[0.7, 1.0]}",
+            "observations.policy=[{term=\"base_ang_vel\", noise=0.2}, {term=\"contact_friction\"}, \
+             {term=\"base_mass_offset\"}, {term=\"base_com_offset\", noise=0.1}]",
+            "rewards.unitree.scaled_torques_l2={weight=-5.0}",
+        ]
+        .map(String::from),
+    );
+    compare(other, 100, 30, "other");
+    for rule in ["min", "max", "geometric_mean"] {
+        let mut options = busy(&["unitree_a1"], 20);
+        options.overrides.extend(
+            [
+                &format!("scene.ground.friction_combine={rule}"),
+                "events.physics_material.mode=reset",
+                "events.physics_material.num_buckets=1",
+                "events.randomize_joint_parameters={mode=\"reset\", enabled=true, operation=\"abs\", \
+                 friction_distribution_params=[0.0, 0.2]}",
+            ]
+            .map(String::from),
+        );
+        compare(options, 60, 12, rule);
+    }
+}
+
+#[test]
+fn of_changing_bodies_that_a_caller_changes_too() {
+    let mut options = SimOptions { threads: Some(1), ..busy(&["unitree_a1", "spot"], 34) };
+    options.overrides.extend(BODIES.map(String::from));
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..80 {
+        for sim in [&mut cpu, &mut device] {
+            if t == 20 {
+                // a number that a reset draws, and another one, which it takes back
+                let world = sim.world_mut();
+                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[0] *= 1.2);
+            }
+            if t == 40 {
+                let world = sim.world_mut();
+                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.2);
+            }
+            step(sim, t);
+        }
+        assert_same_batch(&cpu, &device, &format!("step {t}"));
+    }
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+    // between the first change and the second, and after all episodes of the second have ended
+    assert!((15..70).contains(&device.steps_on_device()), "{}", device.steps_on_device());
+}
+
+#[test]
+fn with_curricula_of_commands_and_weights() {
+    let widens = "curriculum.command_curriculum={reward_terms=[\"track_lin_vel_xy_exp\", \"base_linear_velocity\"], \
+                  threshold=0.02, step=0.2, lin_vel_x=[-2.0, 2.0], ang_vel_z=[-1.5, 1.5]}";
+    let stages = "curriculum.commands_vel={velocity_stages=[{step=0, lin_vel_x=[-0.2, 0.2]}, \
+                  {step=25, lin_vel_x=[-0.6, 0.5], lin_vel_y=[-0.1, 0.1]}, {step=60, ang_vel_z=[-0.3, 0.3]}]}";
+    let weights = [
+        "curriculum.first={term=\"modify_reward_weight\", term_name=\"lin_vel_z_l2\", weight=-4.0, num_steps=30}",
+        "curriculum.second={term=\"modify_reward_weight\", term_name=\"lin_vel_z_l2\", weight=0.5, num_steps=55}",
+        "curriculum.third={term=\"modify_reward_weight\", term_name=\"track_lin_vel_xy_exp\", weight=3.0, num_steps=40}",
+    ];
+    for (what, lines) in [("widening", vec![widens]), ("stages", vec![stages, widens]), ("weights", weights.to_vec())] {
+        let mut options = SimOptions { threads: Some(1), ..busy(&ROBOTS, 40) };
+        options.overrides.extend(lines.into_iter().map(String::from));
+        options.overrides.push("commands.base_velocity.rel_heading_envs=0.5".into());
+        let mut widened = false;
+        compare_and(options, 120, 30, what, |sim| {
+            let world = sim.world_mut();
+            widened |= world.query::<&CurriculumProgress>().iter(world).any(|progress| progress.widening > 0.3);
+        });
+        assert_eq!(widened, what != "weights", "{what}");
+    }
+}
+
+#[test]
+fn with_commands_other_than_the_velocity() {
+    let commands = [
+        "commands.pose={height_share=[0.7, 1.1], roll=[-0.3, 0.3], pitch=[-0.2, 0.4], resampling_time_s=0.3}",
+        "commands.heading={resampling_time_s=0.4}",
+        "commands.position={pos_x=[-2.0, 2.0], pos_y=[-1.0, 3.0], resampling_time_s=0.5}",
+        "commands.gait={frequency=[1.5, 3.5], phase=[0.2, 0.8], offset=[0.0, 0.5], bound=[0.0, 0.4], \
+         duration=[0.3, 0.7], resampling_time_s=0.35}",
+        "commands.foot_placement={stance_width=[0.8, 1.3], stance_length=[0.9, 1.1], resampling_time_s=0.45}",
+        "commands.jump={time=[0.1, 0.4], length=[-0.3, 0.6]}",
+        "observations.policy=[{term=\"pose_commands\", noise=0.01}, {term=\"heading_commands\"}, \
+         {term=\"position_commands\", history_length=2}, {term=\"gait_commands\"}, {term=\"clock_inputs\", noise=0.1}, \
+         {term=\"foot_placement_commands\"}, {term=\"jump_commands\", scale=2.0}, {term=\"velocity_commands\"}]",
+    ];
+    let rewards = [
+        "track_base_height_exp={weight=1.0, std=0.2}",
+        "orientation_control={weight=-1.0}",
+        "heading_command_error_abs={weight=-0.3}",
+        "other_heading={term=\"heading_command_error_abs\", weight=-0.2, command_name=\"position\"}",
+        "position_command_error_tanh={weight=0.5, std=2.0}",
+        "tracking_contacts_shaped_force={weight=1.0, gait_force_sigma=60.0}",
+        "tracking_contacts_shaped_vel={weight=1.0}",
+        "jump_height_exp={weight=1.0, std=0.3}",
+        "jump_velocity_exp={weight=1.0, std=0.5}",
+        "jump_contacts={weight=0.4}",
+        "raibert_heuristic={weight=-2.0}",
+        "feet_clearance_cmd_linear={weight=-8.0}",
+    ];
+    let lines: Vec<String> = commands.into_iter().map(String::from).collect();
+    let of_set = |set: &str| rewards.map(|reward| format!("rewards.{set}.{reward}"));
+    let mut options = SimOptions { threads: Some(2), ..busy(&["unitree_go2", "anymal_c"], 40) };
+    options.overrides.extend(lines.iter().cloned().chain(of_set("unitree")).chain(of_set("anymal")));
+    compare(options, size(120, 500), 30, "commands");
+    // legs of another number, a simple heading, uneven ground, and no velocity at all
+    let mut other = SimOptions { seed: 5, threads: Some(1), ..SimOptions::new("velocity_rough_legged", 24) };
+    other.robots = Some(vec!["phantomx".into(), "unitree_h1".into()]);
+    other.overrides.extend(lines);
+    other.overrides.push("commands.position.simple_heading=true".into());
+    other.overrides.push("sim.episode_length_s=0.7".into());
+    compare(other, 80, 24, "legged");
+}
+
+#[test]
+fn with_commands_that_a_caller_sets() {
+    let mut options = SimOptions { threads: Some(1), ..busy(&["unitree_a1"], 20) };
+    options.overrides.extend(
+        [
+            "commands.heading={resampling_time_s=0.2}",
+            "commands.gait={frequency=[1.5, 3.5], resampling_time_s=0.3}",
+            "observations.policy=[{term=\"heading_commands\"}, {term=\"gait_commands\"}, {term=\"clock_inputs\"}]",
+        ]
+        .map(String::from),
+    );
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options));
+    for t in 0..60 {
+        for sim in [&mut cpu, &mut device] {
+            if t == 20 {
+                let world = sim.world_mut();
+                world.query::<(&EnvId, &mut CommandNumbers)>().iter_mut(world).for_each(|(env, mut numbers)| {
+                    numbers.numbers[0] = 0.25;
+                    numbers.pinned = env.0 % 4;
+                });
+            }
+            step(sim, t);
+        }
+        assert_same_batch(&cpu, &device, &format!("step {t}"));
+    }
+    assert!(device.steps_on_device() > 50);
+    assert!(cpu.snapshot().unwrap() == device.snapshot().unwrap());
+}
+
+#[test]
+fn of_robots_that_get_up_and_stand_on_hind_legs() {
+    for (task, robots) in [("getup_flat", 40), ("getup_flat_humanoid", 24), ("hind_legs_flat", 24)] {
+        let mut options = SimOptions { seed: 4, threads: Some(2), ..SimOptions::new(task, robots) };
+        options.overrides.push("sim.episode_length_s=0.9".into());
+        if task == "getup_flat" {
+            options.overrides.push("curriculum.action_rate.num_steps=50".into());
+        }
+        compare(options, 100, 24, task);
+    }
+}
+
+#[test]
+fn of_all_tasks_of_the_library_but_those_that_show_motions() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/tasks");
+    let mut count = 0;
+    for file in fs::read_dir(folder).unwrap() {
+        let task = file.unwrap().path().file_stem().unwrap().to_str().unwrap().to_owned();
+        let lacks = on_host(SimOptions { threads: Some(1), ..SimOptions::new(&task, 24) }).lacks_on_device();
+        if task.starts_with("tracking") {
+            assert_eq!(lacks.as_deref(), Some("the observation `motion_command`"), "{task}");
+        } else {
+            assert_eq!(lacks, None, "{task}");
+        }
+        count += 1;
+    }
+    assert!(count >= 40, "{count}");
+}
+
 #[test]
 fn with_delays_wrenches_histories_and_other_commands() {
     let mut options = busy(&["unitree_go2", "spot"], 40);
@@ -521,12 +741,11 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
         assert_eq!(sim.steps_on_device(), 0, "{task}");
         sim.lacks_on_device().unwrap()
     };
-    assert_eq!(lacks("velocity_flat", &[CHANGING]), "an event that changes bodies at a reset");
-    let widens = "curriculum.command_curriculum={reward_terms=[\"track_lin_vel_xy_exp\", \"base_linear_velocity\"], \
-                  lin_vel_x=[-2.0, 2.0]}";
-    assert_eq!(lacks("velocity_flat", &[widens]), "the curriculum `command_curriculum`");
-    let pose = ["commands.pose={}", "observations.policy=[{term=\"pose_commands\"}]"];
-    assert_eq!(lacks("velocity_flat", &pose), "a command other than the velocity");
+    assert_eq!(lacks("velocity_flat", &[CHANGING]), "the event `randomize_actuator_gains`");
+    let varies = "events.body_variation={mode=\"reset\", enabled=true}";
+    assert_eq!(lacks("velocity_flat", &[varies]), "the event `body_variation`");
+    let descriptions = "at resets that change bodies, the observation `joint_descriptors`";
+    assert_eq!(lacks("velocity_flat_joints", &[BODIES[1]]), descriptions);
     // a user's system sees the components of every step
     let mut app = App::empty();
     let options = SimOptions { overrides: vec!["physics.engine=cuda".into()], ..SimOptions::new("velocity_flat", 16) };
@@ -546,6 +765,7 @@ fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
     };
     let (on_cpu, on_device) = (dir("cpu"), dir("device"));
     let mut options = busy(&["unitree_a1", "spot"], 40);
+    options.overrides.extend(BODIES.map(String::from));
     // a speed that robots reach
     let limits = ["terminations.illegal_state.max_lin_vel=1.2", "events.push_robot.velocity_range=[-0.9, 0.9]"];
     options.overrides.extend(limits.map(String::from));

@@ -45,7 +45,7 @@ FN void step_env(const EnvBlock *envs, int e, int after) {
     v->observation = envs->observations + (size_t)e * K(K_OBSERVED);
     v->final = envs->finals + (size_t)e * K(K_OBSERVED);
     v->row = T(SIZE_STATE) + LISTED_SIZE * block->capacity;
-    v->kept = envs->kept ? envs->kept + (size_t)e * (2 * size_of_kept(v) + 2) : envs->kept;
+    v->kept = envs->kept ? envs->kept + (size_t)e * (2 * size_of_kept(v) + 2 + size_of_body(v)) : envs->kept;
     v->random = (Wide)U(U_STATE + 1) << 32 | U(U_STATE);
     v->increment = (Wide)U(U_INCREMENT + 1) << 32 | U(U_INCREMENT);
     v->flags = U(U_FLAGS);

@@ -60,6 +60,23 @@ FN float steps_between(Env *v, unsigned low, unsigned high) {
     return (float)(low + (unsigned)((next_random(v) * span) >> 32));
 }
 
+/* control steps since the simulation began */
+FN Wide clock_of(const Env *v) { return (Wide)U(U_CLOCK + 1) << 32 | U(U_CLOCK); }
+FN void count_step(Env *v) {
+    Wide steps = clock_of(v) + 1;
+    U(U_CLOCK) = (unsigned)steps;
+    U(U_CLOCK + 1) = (unsigned)(steps >> 32);
+}
+/* where the numbers of the last of some stages are that has begun; `otherwise` before the first */
+FN int stage_of(const Env *v, int stages, int count, int otherwise) {
+    Wide now = clock_of(v);
+    ROLLED for (int i = 0; i < count; i++) {
+        int stage = stages + i * STAGE_SIZE;
+        if (((Wide)(unsigned)K(stage + 1) << 32 | (unsigned)K(stage)) <= now) otherwise = K(stage + 2);
+    }
+    return otherwise;
+}
+
 FN int is_finite(float x) { return fabsf(x) <= 3.40282347e38f; }
 FN float limited(float x, float low, float high) {
     if (x < low) x = low;
@@ -103,9 +120,23 @@ FN void act(Env *v) {
 FN float heading(const float *q) {
     return atan2_(2.0f * (q[1] * q[2] + q[0] * q[3]), 1.0f - 2.0f * (q[2] * q[2] + q[3] * q[3]));
 }
+/* terms/schedules.rs: the present range of forward or left velocity or yaw rate */
+FN void command_range(const Env *v, int d, float *o) {
+    int at = stage_of(v, K(K_STAGE), K(K_NUM_STAGES), F_RANGE) + 2 * d, widest = F_WIDEST + 2 * d;
+    o[0] = F(at);
+    o[1] = F(at + 1);
+    if (!(K(K_WIDENS) >> d & 1)) return;
+    float widening = X(K(X_WIDENING));
+    o[0] = smaller(larger(o[0] - widening, F(widest)), o[0]);
+    o[1] = larger(smaller(o[1] + widening, F(widest + 1)), o[1]);
+}
 FN void draw_command(Env *v) {
     int command = K(X_COMMAND);
-    for (int d = 0; d < 3; d++) X(command + d) = uniform(v, F_RANGE + 2 * d);
+    for (int d = 0; d < 3; d++) {
+        float range[2];
+        command_range(v, d, range);
+        X(command + d) = between(v, range[0], range[1]);
+    }
     X(command + COMMAND_HEADING) = uniform(v, F_HEADING);
     v->flags &= ~(unsigned)(HOLDS_HEADING | STANDING);
     if (unit(v) < F(F_HEADING_SHARE) && K(K_HEADING_COMMAND)) v->flags |= HOLDS_HEADING;
@@ -123,13 +154,17 @@ FN void draw_command(Env *v) {
     }
     X(command + COMMAND_LEFT) = F(F_RESAMPLING);
 }
+FN float wrap_to_pi(float angle) {
+    const float turn = (float)6.28318530717958647692;
+    return angle - turn * rintf(angle / turn);
+}
 FN void steer(Env *v, const float *rotation) {
     int command = K(X_COMMAND);
     if (HAS(HOLDS_HEADING)) {
-        const float turn = (float)6.28318530717958647692;
-        float error = X(command + COMMAND_HEADING) - heading(rotation);
-        error = error - turn * rintf(error / turn);
-        X(command + 2) = limited(F(F_STIFFNESS) * error, F(F_RANGE + 4), F(F_RANGE + 5));
+        float error = wrap_to_pi(X(command + COMMAND_HEADING) - heading(rotation));
+        float range[2];
+        command_range(v, 2, range);
+        X(command + 2) = limited(F(F_STIFFNESS) * error, range[0], range[1]);
     }
     if (HAS(STANDING))
         for (int d = 0; d < 3; d++) X(command + d) = 0.0f;
@@ -142,6 +177,45 @@ FN void update_command(Env *v) {
     /* half a step of tolerance: the sum of steps is not exact */
     if (X(left) <= -0.5f * F(F_STEP)) draw_command(v);
     steer(v, &STATE(S_ROTATION, 0));
+}
+
+/* the other commands: number `i` of a kind of command */
+#define COMMANDED(kind, i) X(K(X_NUMBERS) + K(K_PLACE + (kind)) + (i))
+FN void draw_numbers(Env *v, int form) {
+    const Robot *a = v->a;
+    int at = K(form + FORM_NUMBERS) + 1, to = K(X_NUMBERS) + K(form + FORM_MORE), count = K(form + FORM_MORE + 1);
+    switch (K(form)) {
+    case KIND_POSITION:
+        for (int d = 0; d < 3; d++) X(to + d) = uniform(v, at + 2 * d);
+        if (K(K(form + FORM_INTEGERS)))
+            X(to + 2) = atan2_(X(to + 1) - STATE(S_POSITION, 1), X(to) - STATE(S_POSITION, 0));
+        return;
+    case KIND_GAIT:
+        /* the clock runs on from draw to draw */
+        for (int i = 1; i < count; i++) X(to + i) = uniform(v, at + 2 * (i - 1));
+        return;
+    default: ROLLED for (int i = 0; i < count; i++) X(to + i) = uniform(v, at + 2 * i);
+    }
+    if (K(form) == KIND_JUMP) X(to) = -X(to);
+}
+FN void advance_numbers(Env *v, int form) {
+    int at = K(X_NUMBERS) + K(form + FORM_MORE);
+    if (K(form) == KIND_JUMP) X(at) = X(at) + F(F_STEP);
+    if (K(form) == KIND_GAIT) {
+        float clock = fma_(X(at + 1), F(F_STEP), X(at));
+        X(at) = clock - floor_(clock);
+    }
+}
+FN void update_numbers(Env *v) {
+    ROLLED for (int i = 0; i < K(K_NUM_COMMANDS); i++) {
+        int form = K(K_COMMANDS) + i * FORM_SIZE, wait = K(X_WAIT) + i;
+        advance_numbers(v, form);
+        if (U(U_PINNED) >> i & 1 || !K(form + FORM_MORE + 2)) continue;
+        X(wait) = X(wait) - F(F_STEP);
+        if (!(X(wait) <= -0.5f * F(F_STEP))) continue;
+        draw_numbers(v, form);
+        X(wait) = F(K(form + FORM_NUMBERS));
+    }
 }
 
 /* disturb.rs */
@@ -170,7 +244,11 @@ FN void read_imu(Env *v) {
     float r[9], com[3], t[3];
     quat_to_mat(&STATE(S_ROTATION, 0), r);
     copy(v->angular, &STATE(S_ANGULAR, 0), 3);
-    p_load(a, P_COM, 0, 3, com);
+    /* a reset in this kernel may have changed it, which READ would not see */
+    if (K(K_NUM_BODY_EVENTS))
+        for (int d = 0; d < 3; d++) com[d] = X(K(X_BODY) + BODY_COM + d);
+    else
+        p_load(a, P_COM, 0, 3, com);
     mul_vec_transposed(r, &STATE(S_LINEAR, 0), v->linear);
     cross(v->angular, com, t);
     add(v->linear, t, v->linear);
@@ -493,6 +571,148 @@ FN float joint_distance(const Env *v) {
     }
     return sqrtf(sum);
 }
+FN float upright(const Env *v, int at) {
+    float distance[3];
+    for (int k = 0; k < 3; k++) distance[k] = F(at + 1 + k) + v->gravity[k];
+    return exp_(-squares(distance, 3) * F(at));
+}
+FN float posture(const Env *v, float std) {
+    const Robot *a = v->a;
+    float sum = 0.0f, stands = 0.5f * (1.0f - v->gravity[2]);
+    ROLLED for (int j = 0; j < T(JOINTS); j++) {
+        float d = STATE(S_JOINT, j) - X(K(X_DEFAULT) + j);
+        sum = fma_(d, d, sum);
+    }
+    float mean = sum / (float)(T(JOINTS) > 1 ? T(JOINTS) : 1);
+    return stands * stands * exp_(-mean / (std * std));
+}
+FN float feet_off_ground(const Env *v, int form) {
+    int off = 0, feet = K(form + FORM_COUNT);
+    ROLLED for (int i = 0; i < feet; i++)
+        off += peak_force(v, K(K(form + FORM_INTEGERS) + i)) <= F(K(form + FORM_NUMBERS));
+    return (float)off / (float)feet;
+}
+/* direction of the base's x axis on the ground */
+FN void forward_of(const float *q, float *o) {
+    float c = 1.0f - 2.0f * (q[2] * q[2] + q[3] * q[3]), s = 2.0f * (q[1] * q[2] + q[0] * q[3]);
+    float size = sqrtf(c * c + s * s);
+    int has_heading = size > 1e-6f;
+    o[0] = has_heading ? c / size : 1.0f;
+    o[1] = has_heading ? s / size : 0.0f;
+}
+/* command/heading.rs, command/position.rs */
+FN float heading_error(const Env *v, float wanted) {
+    const Robot *a = v->a;
+    return wrap_to_pi(wanted - heading(&STATE(S_ROTATION, 0)));
+}
+FN void position_error(const Env *v, float *o) {
+    const Robot *a = v->a;
+    float dx = COMMANDED(KIND_POSITION, 0) - STATE(S_POSITION, 0), f[2];
+    float dy = COMMANDED(KIND_POSITION, 1) - STATE(S_POSITION, 1);
+    forward_of(&STATE(S_ROTATION, 0), f);
+    o[0] = f[0] * dx + f[1] * dy;
+    o[1] = f[0] * dy - f[1] * dx;
+    o[2] = heading_error(v, COMMANDED(KIND_POSITION, 2));
+}
+/* command/gait.rs */
+FN float foot_clock(const Env *v, int foot) {
+    float phase = COMMANDED(KIND_GAIT, 2), offset = COMMANDED(KIND_GAIT, 3), bound = COMMANDED(KIND_GAIT, 4);
+    int pairs = K(K_FEET) / 2 > 1 ? K(K_FEET) / 2 : 1, is_right = foot >= pairs, is_hind = foot % pairs % 2 == 1;
+    float lead = is_hind ? (is_right ? phase : bound) : is_right ? offset : phase + offset + bound;
+    float at = COMMANDED(KIND_GAIT, 0) + lead, stance = limited(COMMANDED(KIND_GAIT, 5), 0.01f, 0.99f);
+    at = at - floor_(at);
+    return at < stance ? 0.5f * at / stance : 0.5f + 0.5f * (at - stance) / (1.0f - stance);
+}
+FN float smooth_step(float x) { return 1.0f / (1.0f + exp_(-1.702f * x / 0.07f)); }
+FN float desired_contact(float clock) {
+    return smooth_step(clock) * (1.0f - smooth_step(clock - 0.5f)) +
+           smooth_step(clock - 1.0f) * (1.0f - smooth_step(clock - 1.5f));
+}
+FN float mean_over_feet(const Env *v, int forces, float sigma) {
+    const Robot *a = v->a;
+    float sum = -0.0f, least = 1.17549435e-38f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        float wanted = desired_contact(foot_clock(v, foot)), x, share = forces ? 1.0f - wanted : wanted;
+        if (forces) {
+            int body = K(K_FOOT) + foot;
+            float force = peak_force(v, K(body));
+            x = -force * force;
+        } else {
+            x = -squares(&REPORT(R_SITE_VELOCITY, 3 * foot), 3);
+        }
+        sum += share * (1.0f - exp_(x / larger(sigma, least)));
+    }
+    return -sum / (float)(K(K_FEET) > 1 ? K(K_FEET) : 1);
+}
+/* command/jump.rs: whether the robot flies, rise of the base and speed */
+FN int jump_now(const Env *v, float *rise, float *speed) {
+    float time = COMMANDED(KIND_JUMP, 0), height = COMMANDED(KIND_JUMP, 1), fall = F(F_FREE_FALL);
+    float flight = fall > 0.0f ? sqrtf(8.0f * height / fall) : 0.0f;
+    *rise = *speed = 0.0f;
+    if (time < 0.0f || time >= flight) return 0;
+    float share = 2.0f * time / flight - 1.0f;
+    *rise = height * (1.0f - share * share);
+    *speed = COMMANDED(KIND_JUMP, 2) / flight;
+    return 1;
+}
+FN float jump_height(const Env *v, int at) {
+    float rise, speed;
+    jump_now(v, &rise, &speed);
+    float error = base_height(v) - F(at) - rise;
+    return exp_(-error * error * F(at + 1));
+}
+FN float jump_velocity(const Env *v, float std) {
+    const Robot *a = v->a;
+    float rise, speed, f[2], x = STATE(S_LINEAR, 0), y = STATE(S_LINEAR, 1);
+    jump_now(v, &rise, &speed);
+    forward_of(&STATE(S_ROTATION, 0), f);
+    float error[2] = {f[0] * x + f[1] * y - speed, f[0] * y - f[1] * x};
+    return exp_(-squares(error, 2) / (std * std));
+}
+FN float jump_contacts(const Env *v) {
+    float rise, speed;
+    int flies = jump_now(v, &rise, &speed), right = 0;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        int body = K(K_FOOT) + foot;
+        right += (peak_force(v, K(body)) <= 1.0f) == flies;
+    }
+    return (float)right / (float)(K(K_FEET) > 1 ? K(K_FEET) : 1);
+}
+/* reward/placement_terms.rs: places of the default feet come first, then their heights */
+FN float raibert_heuristic(const Env *v, int at) {
+    const Robot *a = v->a;
+    float width = COMMANDED(KIND_FOOT_PLACEMENT, 0), length = COMMANDED(KIND_FOOT_PLACEMENT, 1), sum = 0.0f, f[2];
+    float half_cycle = 0.5f / larger(COMMANDED(KIND_GAIT, 1), 0.1f), turn = X(K(X_COMMAND) + 2);
+    forward_of(&STATE(S_ROTATION, 0), f);
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        float x = F(at + 2 * foot) * length, y = F(at + 2 * foot + 1) * width;
+        float phase = fabsf(1.0f - 2.0f * foot_clock(v, foot)) - 0.5f;
+        float ahead_x = phase * (X(K(X_COMMAND)) - turn * y) * half_cycle;
+        float ahead_y = phase * (X(K(X_COMMAND) + 1) + turn * x) * half_cycle;
+        float to_x = REPORT(R_SITE_POSITION, 3 * foot) - STATE(S_POSITION, 0);
+        float to_y = REPORT(R_SITE_POSITION, 3 * foot + 1) - STATE(S_POSITION, 1);
+        float error_x = f[0] * to_x + f[1] * to_y - x - ahead_x, error_y = f[0] * to_y - f[1] * to_x - y - ahead_y;
+        sum += error_x * error_x + error_y * error_y;
+    }
+    return sum;
+}
+FN float feet_clearance(const Env *v, int at) {
+    float swing = COMMANDED(KIND_FOOT_PLACEMENT, 2), sum = 0.0f;
+    ROLLED for (int foot = 0; foot < K(K_FEET); foot++) {
+        float clock = foot_clock(v, foot);
+        float phase = 1.0f - fabsf(1.0f - 2.0f * limited(2.0f * clock - 1.0f, 0.0f, 1.0f));
+        float error = swing * phase + F(at + 2 * K(K_FEET) + foot) - foot_height(v, foot);
+        sum += error * error * (1.0f - desired_contact(clock));
+    }
+    return sum;
+}
+FN float orientation_control(const Env *v) {
+    float sin_roll, cos_roll, sin_pitch, cos_pitch;
+    sin_cos(COMMANDED(KIND_POSE, 1), &sin_roll, &cos_roll);
+    sin_cos(COMMANDED(KIND_POSE, 2), &sin_pitch, &cos_pitch);
+    float error[2] = {v->gravity[0] - sin_pitch, v->gravity[1] + sin_roll * cos_pitch};
+    return squares(error, 2);
+}
 FN float reward_of(const Env *v, int form) {
     const Robot *a = v->a;
     int at = K(form + FORM_NUMBERS), joints = T(JOINTS);
@@ -550,6 +770,35 @@ FN float reward_of(const Env *v, int form) {
         return stands ? 0.0f : 1.0f;
     }
     case REWARD_GAIT_SYMMETRY: return gait_symmetry(v);
+    case REWARD_UPRIGHT: return upright(v, at);
+    case REWARD_TORSO_HEIGHT: {
+        float missing = larger(F(at) - base_height(v), 0.0f);
+        return exp_(-missing * missing * F(at + 1));
+    }
+    case REWARD_POSTURE: return posture(v, F(at));
+    case REWARD_FEET_OFF_GROUND: return feet_off_ground(v, form);
+    case REWARD_TRACK_BASE_HEIGHT_EXP: {
+        float off = COMMANDED(KIND_POSE, 0) - base_height(v);
+        return exp_(-off * off / (F(at) * F(at)));
+    }
+    case REWARD_ORIENTATION_CONTROL: return orientation_control(v);
+    case REWARD_HEADING_COMMAND_ERROR_ABS: {
+        int is_position = K(K(form + FORM_INTEGERS));
+        float wanted = is_position ? COMMANDED(KIND_POSITION, 2) : COMMANDED(KIND_HEADING, 0);
+        return fabsf(heading_error(v, wanted));
+    }
+    case REWARD_POSITION_COMMAND_ERROR_TANH: {
+        float way[3];
+        position_error(v, way);
+        return 1.0f - tanh_positive(norm(way, 2) / F(at));
+    }
+    case REWARD_TRACKING_CONTACTS_SHAPED_FORCE: return mean_over_feet(v, 1, F(at));
+    case REWARD_TRACKING_CONTACTS_SHAPED_VEL: return mean_over_feet(v, 0, F(at));
+    case REWARD_JUMP_HEIGHT_EXP: return jump_height(v, at);
+    case REWARD_JUMP_VELOCITY_EXP: return jump_velocity(v, F(at));
+    case REWARD_JUMP_CONTACTS: return jump_contacts(v);
+    case REWARD_RAIBERT_HEURISTIC: return raibert_heuristic(v, at);
+    case REWARD_FEET_CLEARANCE_CMD_LINEAR: return feet_clearance(v, at);
     case REWARD_SCALED_TORQUES_L2: {
         float load = X(K(X_MASS)) * F(F_FREE_FALL) * default_height(v);
         return load > 0.0f ? mean_square(&REPORT(R_EFFORT, 0), joints) / (load * load) : 0.0f;
@@ -571,6 +820,9 @@ FN void add_errors(Env *v) {
     X(total + 5) = X(total + 5) + length(v->linear[0], v->linear[1]);
     U(U_STEPS) = U(U_STEPS) + 1;
 }
+FN float weight_of(const Env *v, int form) {
+    return F(stage_of(v, K(form + FORM_MORE + 2), K(form + FORM_MORE + 1), K(form + FORM_MORE)));
+}
 FN void reward(Env *v) {
     int resetting = K(K_AUTORESET) == AT_NEXT_STEP && HAS(NEEDS_RESET) && !HAS(TERMINATED | TRUNCATED);
     v->total = 0.0f;
@@ -579,7 +831,7 @@ FN void reward(Env *v) {
     float total = 0.0f;
     ROLLED for (int i = 0; i < K(K_NUM_REWARDS); i++) {
         int form = K(K_REWARD) + i * FORM_SIZE, sum = K(X_SUM) + i;
-        float value = F(K(form + FORM_MORE)) * reward_of(v, form) * F(F_STEP);
+        float value = weight_of(v, form) * reward_of(v, form) * F(F_STEP);
         X(sum) = X(sum) + value;
         total += value;
     }
@@ -601,9 +853,31 @@ FN float observed(const Env *v, int term, int i) {
     case OBSERVATION_LAST_ACTION: return X(K(X_ACTION) + i);
     case OBSERVATION_FEET_AIR_TIME: return TIME(1, i);
     case OBSERVATION_FEET_HEIGHT: return foot_height(v, i);
+    case OBSERVATION_CLOCK_INPUTS: {
+        float sine, cosine;
+        sin_cos((float)6.28318530717958647692 * foot_clock(v, i), &sine, &cosine);
+        return sine;
+    }
+    case OBSERVATION_HEADING_COMMANDS: return heading_error(v, COMMANDED(KIND_HEADING, 0));
+    case OBSERVATION_POSITION_COMMANDS: {
+        float way[3];
+        position_error(v, way);
+        return way[i];
+    }
+    case OBSERVATION_POSE_COMMANDS: return COMMANDED(KIND_POSE, i);
+    case OBSERVATION_GAIT_COMMANDS: return COMMANDED(KIND_GAIT, i ? 5 : 1);
+    case OBSERVATION_JUMP_COMMANDS: {
+        float number = COMMANDED(KIND_JUMP, i);
+        return i ? number : limited(number, -1.0f, 1.0f);
+    }
+    case OBSERVATION_FOOT_PLACEMENT_COMMANDS: return COMMANDED(KIND_FOOT_PLACEMENT, i);
     case OBSERVATION_FEET_CONTACT_FORCE: slot = K(K_FOOT) + i; return peak_force(v, K(slot));
     case OBSERVATION_KEPT_OF_JOINTS:
     case OBSERVATION_KEPT: return X(K(X_KEPT) + K(K(term + FORM_INTEGERS)) + i);
+    case OBSERVATION_CONTACT_FRICTION: return X(K(X_BODY) + BODY_FRICTION + i);
+    case OBSERVATION_BASE_MASS_OFFSET: return X(K(X_BODY)) - F(K(term + FORM_NUMBERS) + FILTER_SIZE);
+    case OBSERVATION_BASE_COM_OFFSET:
+        return X(K(X_BODY) + BODY_COM + i) - F(K(term + FORM_NUMBERS) + FILTER_SIZE + i);
     default: break;
     }
     joint = K(slot);
@@ -639,6 +913,121 @@ FN void observe(Env *v, float *row) {
         }
         if (HAS(FRESH)) ROLLED for (int i = 0; i < size * (memory - 1); i++) to[i] = newest[i % size];
     }
+}
+
+/* startup.rs: events that change the body of the next episode */
+FN float combined_friction(const Env *v, float ground, float robot) {
+    switch (K(K_COMBINE)) {
+    case COMBINE_AVERAGE: return 0.5f * (ground + robot);
+    case COMBINE_GEOMETRIC_MEAN: return sqrtf(ground * robot);
+    case COMBINE_MIN: return smaller(ground, robot);
+    case COMBINE_MULTIPLY: return ground * robot;
+    default: return larger(ground, robot);
+    }
+}
+/* one of the values of a list, the same share of whose range each has */
+FN float draw_bucket(Env *v, int first, int last) {
+    int at = last ? (int)(unsigned)steps_between(v, 0, (unsigned)last) : 0;
+    return F(first + at);
+}
+FN void draw_material(Env *v, int at, int list) {
+    int body = K(X_BODY) + BODY_FRICTION, last = K(list), lists = last + 1;
+    float sticking = draw_bucket(v, at, last);
+    float sliding = smaller(draw_bucket(v, at + lists, last), sticking);
+    X(body) = combined_friction(v, F(F_GROUND_FRICTION), sticking);
+    X(body + 1) = combined_friction(v, F(F_GROUND_FRICTION + 1), sliding);
+    at += 2 * lists;
+    for (int spin = 0; spin < 2; spin++) {
+        if (!K(list + 1 + spin)) continue;
+        X(body + 2 + spin) = larger(F(F_GROUND_FRICTION + 2 + spin), draw_bucket(v, at, last));
+        at += lists;
+    }
+}
+FN void add_base_mass(Env *v, int at, int list) {
+    int body = K(X_BODY);
+    float old = X(body), drawn = uniform(v, at), now = larger(K(list + 1) ? old * drawn : old + drawn, 0.01f);
+    X(body) = now;
+    if (!K(list)) return;
+    for (int k = 0; k < 6; k++) X(body + BODY_INERTIA + k) = X(body + BODY_INERTIA + k) * (now / old);
+}
+/* Draws for each joint; the shares of its effort limit that its effort table leaves come after the ranges. */
+FN void draw_lists(Env *v, int form) {
+    const Robot *a = v->a;
+    int joints = T(JOINTS), draws = K(form + FORM_COUNT) / BODY_DRAW_SIZE, at = K(form + FORM_NUMBERS);
+    int lists = K(X_BODY) + BODY_JOINTS;
+    ROLLED for (int i = 0; i < draws; i++) {
+        int draw = K(form + FORM_INTEGERS) + i * BODY_DRAW_SIZE, list = lists + K(draw) * joints;
+        ROLLED for (int j = 0; j < joints; j++) {
+            float effort = X(lists + LIST_EFFORT_LIMIT * joints + j) * F(at + 2 * draws + j);
+            float drawn = uniform(v, at + 2 * i), value = X(list + j);
+            switch (K(draw + 1)) {
+            case OPERATION_ADD: value = value + drawn; break;
+            case OPERATION_SCALE: value = value * drawn; break;
+            case OPERATION_ABS: value = drawn; break;
+            default: value = is_finite(effort) ? fma_(drawn, effort, value) : value;
+            }
+            X(list + j) = larger(value, 0.0f);
+        }
+    }
+}
+FN void scale_motors(Env *v, int at) {
+    const Robot *a = v->a;
+    int joints = T(JOINTS), lists = K(X_BODY) + BODY_JOINTS;
+    ROLLED for (int j = 0; j < joints; j++) {
+        float share = uniform(v, at);
+        for (int list = LIST_STIFFNESS; list <= LIST_SATURATION_EFFORT; list++) {
+            float x = X(lists + list * joints + j);
+            if (list <= LIST_DAMPING || is_finite(x)) X(lists + list * joints + j) = x * share;
+        }
+    }
+}
+FN void change_body(Env *v, int form) {
+    int at = K(form + FORM_NUMBERS), list = K(form + FORM_INTEGERS), com = K(X_BODY) + BODY_COM;
+    switch (K(form)) {
+    case BODY_EVENT_PHYSICS_MATERIAL: draw_material(v, at, list); return;
+    case BODY_EVENT_ADD_BASE_MASS: add_base_mass(v, at, list); return;
+    case BODY_EVENT_BASE_COM:
+        for (int d = 0; d < 3; d++) X(com + d) = X(com + d) + uniform(v, at + 2 * d);
+        return;
+    case BODY_EVENT_RANDOMIZE_MOTOR_STRENGTH: scale_motors(v, at); return;
+    default: draw_lists(v, form);
+    }
+}
+FN int size_of_body(const Env *v) {
+    const Robot *a = v->a;
+    return BODY_JOINTS + BODY_LISTS * T(JOINTS);
+}
+/* Gives the robot's own parameters new values. READ shows them from the next kernel on. */
+FN void set_parameters(Env *v, int is_own, int at, int from, int count) {
+    float *own = (float *)v->a->p + (size_t)at * TILE;
+    if (is_own)
+        ROLLED for (int i = 0; i < count; i++) own[(size_t)i * TILE] = X(K(X_BODY) + from + i);
+}
+#define SET(name, from, count) set_parameters(v, IS_OWN(name), T(name), from, count)
+#define SET_LIST(name, list) SET(name, BODY_JOINTS + (list) * T(JOINTS), T(JOINTS))
+FN void reset_body(Env *v) {
+    const Robot *a = v->a;
+    int body = K(X_BODY), size = size_of_body(v);
+    if (!K(K_NUM_BODY_EVENTS)) return;
+    ROLLED for (int i = 0; i < size; i++) X(body + i) = X(K(X_STARTUP) + i);
+    ROLLED for (int i = 0; i < K(K_NUM_BODY_EVENTS); i++) change_body(v, K(K_BODY_EVENT) + i * FORM_SIZE);
+    SET(P_MASS, 0, 1);
+    SET(P_COM, BODY_COM, 3);
+    SET(P_INERTIA, BODY_INERTIA, 6);
+    SET(P_STATIC_FRICTION, BODY_FRICTION, 1);
+    SET(P_DYNAMIC_FRICTION, BODY_FRICTION + 1, 1);
+    SET(P_TORSIONAL_FRICTION, BODY_FRICTION + 2, 1);
+    SET(P_ROLLING_FRICTION, BODY_FRICTION + 3, 1);
+    SET_LIST(P_STIFFNESS, LIST_STIFFNESS);
+    SET_LIST(P_DAMPING, LIST_DAMPING);
+    SET_LIST(P_EFFORT_LIMIT, LIST_EFFORT_LIMIT);
+    SET_LIST(P_SATURATION_EFFORT, LIST_SATURATION_EFFORT);
+    SET_LIST(P_ARMATURE, LIST_ARMATURE);
+    SET_LIST(P_JOINT_FRICTION, LIST_JOINT_FRICTION);
+    SET_LIST(P_JOINT_DAMPING, LIST_JOINT_DAMPING);
+    float mass = X(body);
+    ROLLED for (int link = 1; link <= T(JOINTS); link++) mass += P(P_MASS, link);
+    X(K(X_MASS)) = mass;
 }
 
 /* robot/articulation.rs */
@@ -717,6 +1106,13 @@ FN void change_new_state(Env *v, int form) {
     }
 }
 /* curriculum.rs: the level of the next episode */
+FN void widen_commands(Env *v, int form) {
+    int at = K(form + FORM_NUMBERS), term = K(K(form + FORM_INTEGERS)), tracking = K(X_TRACKING);
+    float most = weight_of(v, K(K_REWARD) + term * FORM_SIZE) * F(at), *widening = &X(K(X_WIDENING));
+    if (most <= 0.0f) return;
+    X(tracking) = X(tracking) + 0.2f * (X(K(X_SUM) + term) / most - X(tracking));
+    if (X(tracking) > F(at + 1)) *widening = smaller(*widening + F(at + 2), F(at + 3));
+}
 FN void move_to_level(Env *v, int form) {
     const Robot *a = v->a;
     int at = K(form + FORM_NUMBERS), command = K(X_COMMAND);
@@ -739,6 +1135,13 @@ FN void move_to_level(Env *v, int form) {
         float tile = (float)(d ? U(U_COLUMN) : level);
         X(K(X_ORIGIN) + d) = (tile + 0.5f - 0.5f * (float)K(K_TILES + d)) * F(F_TILE + d);
         DRIVE(D_ORIGIN, d) = X(K(X_ORIGIN) + d);
+    }
+}
+FN void end_episode(Env *v, int form) {
+    switch (K(form)) {
+    case CURRICULUM_TERRAIN_LEVELS: move_to_level(v, form); return;
+    case CURRICULUM_COMMAND_CURRICULUM: widen_commands(v, form); return;
+    default: return;
     }
 }
 /* place.rs: height of a contact candidate's lowest point above the base's origin, and its centre */
@@ -805,8 +1208,9 @@ FN void clear_report(const Robot *a) {
 }
 FN void reset(Env *v) {
     const Robot *a = v->a;
+    reset_body(v);
     if (U(U_LIVED) > 0)
-        ROLLED for (int i = 0; i < K(K_NUM_CURRICULA); i++) move_to_level(v, K(K_CURRICULUM) + i * FORM_SIZE);
+        ROLLED for (int i = 0; i < K(K_NUM_CURRICULA); i++) end_episode(v, K(K_CURRICULUM) + i * FORM_SIZE);
     STATE(S_POSITION, 0) = STATE(S_POSITION, 1) = 0.0f;
     STATE(S_POSITION, 2) = X(K(X_SPAWN));
     STATE(S_ROTATION, 0) = 1.0f;
@@ -828,6 +1232,11 @@ FN void reset(Env *v) {
         draw_command(v);
         steer(v, &STATE(S_ROTATION, 0));
     }
+    ROLLED for (int i = 0; i < K(K_NUM_COMMANDS); i++) {
+        if (U(U_PINNED) >> i & 1) continue;
+        draw_numbers(v, K(K_COMMANDS) + i * FORM_SIZE);
+        X(K(X_WAIT) + i) = F(K(K(K_COMMANDS) + i * FORM_SIZE + FORM_NUMBERS));
+    }
     ROLLED for (int i = 0; i < TOTALS; i++) X(K(X_TOTAL) + i) = 0.0f;
     ROLLED for (int i = 0; i < K(K_NUM_REWARDS); i++) X(K(X_SUM) + i) = 0.0f;
     ROLLED for (int i = 0; i < TIMES * K(K_FEET); i++) X(K(X_TIME) + i) = 0.0f;
@@ -843,7 +1252,8 @@ FN int is_due(const Env *v) {
     return HAS(NEEDS_RESET) && (mode == AT_SAME_STEP || (mode == AT_NEXT_STEP && !HAS(TERMINATED | TRUNCATED)));
 }
 
-/* Keeps the rows of drive and state, and the efforts of the report, for the record of a broken state. */
+/* Keeps the rows of drive and state, and the efforts of the report, for the record of a broken state.
+ * Behind the rows are the length of the episode, whether they stay, and the body, if resets change it. */
 FN void keep_rows(const Env *v, float *to) {
     const Robot *a = v->a;
     int listed = (int)STATE(S_PRESSING, 0), state = T(S_PRESSING) + 1 + LISTED_SIZE * listed;
@@ -869,6 +1279,8 @@ FN int acts_within_bounds(const Env *v) {
 FN void before_physics(Env *v) {
     act(v);
     update_command(v);
+    update_numbers(v);
+    count_step(v);
     disturb(v);
     if (v->kept && !has_kept(v)) keep_rows(v, v->kept);
 }
@@ -880,6 +1292,8 @@ FN void write_ended(const Env *v, int env, unsigned *to) {
     to[2] = U(U_CAUSES);
     to[3] = U(U_STEPS);
     to[4] = U(U_LEVEL);
+    word.number = X(K(X_WIDENING));
+    to[5] = word.bits;
     ROLLED for (int i = 0; i < TOTALS + K(K_NUM_REWARDS); i++) {
         word.number = i < TOTALS ? X(K(X_TOTAL) + i) : X(K(X_SUM) + i - TOTALS);
         to[ENDED_SIZE + i] = word.bits;
@@ -893,6 +1307,8 @@ FN unsigned after_physics(Env *v, int env, unsigned *ended) {
             keep_rows(v, v->kept + size_of_kept(v));
             v->kept[2 * size_of_kept(v)] = (float)U(U_LENGTH);
             v->kept[2 * size_of_kept(v) + 1] = 1.0f;
+            if (K(K_NUM_BODY_EVENTS))
+                ROLLED for (int i = 0; i < size_of_body(v); i++) v->kept[2 * size_of_kept(v) + 2 + i] = X(K(X_BODY) + i);
         }
         broken = BROKEN;
     }

@@ -98,16 +98,24 @@ enum Size {
 enum Task {
     K_SLOTS, K_ACTIONS, K_OBSERVED, K_FEET, K_AUTORESET, K_HAS_COMMAND, K_HEADING_COMMAND, K_LONGEST, K_SCALES, K_REMEMBERS,
     K_NUM_DELAYS, K_NUM_INTERVALS, K_NUM_RESETS, K_NUM_ENDS, K_NUM_REWARDS, K_NUM_TERMS, K_NUM_CURRICULA,
+    K_NUM_BODY_EVENTS, K_NUM_STAGES, K_NUM_COMMANDS,
     /* bits of the causes that are failures; tiles along x and y; rays of the height scanner, and where they are
      * in the table of numbers */
     K_FAILURES, K_TILES, K_RAYS = K_TILES + 2, K_RAY,
+    /* bits of the command's ranges that are widened; rule that combines the friction of robot and ground */
+    K_WIDENS, K_COMBINE,
+    /* where the numbers of each kind of command are among those of all commands but the velocity */
+    K_PLACE, K_PLACES_END = K_PLACE + 6,
     /* lists: slots, contact bodies that are feet, their columns, groups of contact bodies, actuator delays, terms */
     K_SLOT, K_FOOT, K_FOOT_COLUMN, K_GROUP, K_DELAY, K_INTERVAL, K_RESET, K_END, K_REWARD, K_TERM,
-    K_CURRICULUM,
+    K_CURRICULUM, K_BODY_EVENT, K_STAGE, K_COMMANDS,
     /* columns of an env: its actions, command, timers, sums, times of its feet, stance, mass, place of
-     * its origin, numbers that observations show, and heights below the rays */
+     * its origin, numbers that observations show, heights below the rays, progress of its commands, the
+     * numbers of its body that resets change (those of startup events, then the present ones), and the numbers
+     * of its commands but the velocity, with the time that each of these has left */
     X_ACTION, X_PREVIOUS, X_COMMAND, X_TIMER, X_SUM, X_TOTAL, X_TIME, X_DEFAULT, X_SCALE, X_SPAWN, X_MASS,
-    X_ORIGIN, X_KEPT, X_SCAN,
+    X_ORIGIN, X_KEPT, X_SCAN, X_WIDENING, X_TRACKING, X_STARTUP, X_BODY,
+    X_NUMBERS, X_WAIT,
     NUM_TASK
 };
 
@@ -117,30 +125,38 @@ enum TaskNumber {
     F_HEADING = F_RANGE + 6, F_STIFFNESS = F_HEADING + 2, F_HEADING_SHARE, F_STANDING_SHARE, F_TURNING_SHARE,
     F_SIDEWAYS_SHARE, F_RESAMPLING, F_MARGIN, F_SOFT, F_BASE_VELOCITY, F_JOINT_POSITION = F_BASE_VELOCITY + 2,
     F_JOINT_VELOCITY = F_JOINT_POSITION + 2, F_MAX_ACTION = F_JOINT_VELOCITY + 2,
-    F_TILE, NUM_TASK_NUMBERS = F_TILE + 2
+    F_TILE, F_WIDEST = F_TILE + 2, F_GROUND_FRICTION = F_WIDEST + 6, NUM_TASK_NUMBERS = F_GROUND_FRICTION + 4
 };
 
 /* Sizes and places of a task's lists and of an env's columns. */
 enum TaskSize {
     SLOT_SIZE = 3,   /* joint, column of the batch, where the joint's sign is */
     DELAY_SIZE = 4,  /* fewest and most physics steps, number of joints, where they are */
+    STAGE_SIZE = 3,  /* control step from which it holds, low and high half, and where its numbers are */
     /* a term: what it is, where its numbers and integers begin, how many integers; of an end whether it
-     * truncates, of an observation its column, numbers and memory */
+     * truncates, of an observation its column, numbers and memory, of a reward where its weight is, and
+     * the number of its stages and where they begin, of a command where its numbers are, how many, and whether
+     * it is drawn in the middle of episodes */
     FORM_SIZE = 7, FORM_NUMBERS = 1, FORM_INTEGERS = 2, FORM_COUNT = 3, FORM_MORE = 4,
     /* numbers of an observation before its own: noise, clip, scale, error that lasts an episode */
     FILTER_SIZE = 5, FILTER_ERROR = 4,
     COMMAND_SIZE = 5, COMMAND_HEADING = 3, COMMAND_LEFT = 4,
     TOTALS = 6,      /* reward, errors of velocity and yaw rate, commanded ones, speed */
     TIMES = 4,       /* of each foot: contact, air, last contact, last air */
+    /* numbers of a body that resets change: mass, centre of mass and inertia of the base, friction
+     * (static, dynamic, torsional, rolling), then lists of the joints in the order of BodyList */
+    BODY_COM = 1, BODY_INERTIA = 4, BODY_FRICTION = 10, BODY_JOINTS = 14, BODY_LISTS = 7,
+    BODY_DRAW_SIZE = 2, /* a draw for each joint: list, operation; its range is among the numbers */
     /* columns of integers of an env */
     U_STATE = 0, U_INCREMENT = 2, U_LENGTH = 4, U_LIVED, U_CAUSES, U_STEPS, U_FLAGS,
-    U_LEVEL, U_COLUMN, NUM_WORDS,
+    U_LEVEL, U_COLUMN, U_CLOCK, U_PINNED = U_CLOCK + 2, NUM_WORDS,
     /* bits of its flags */
     TERMINATED = 1, TRUNCATED = 2, NEEDS_RESET = 4, INVALID = 8, LOGGED = 16, FRESH = 32, FRESH_TARGETS = 64,
     HOLDS_HEADING = 128, STANDING = 256, PINNED = 512, HAS_FINAL = 1024, BROKEN = 2048, BAD_ACTION = 4096,
     AT_SAME_STEP = 0, AT_NEXT_STEP = 1, NEVER = 2,
-    /* an episode that ended: env, flags, causes, steps, level; then its totals and the sums of its terms */
-    ENDED_SIZE = 5
+    /* an episode that ended: env, flags, causes, steps, level, bits of the commands' widening; then its
+     * totals and the sums of its terms */
+    ENDED_SIZE = 6
 };
 
 /* Terms that have a form on the device. */
@@ -149,7 +165,23 @@ enum Reset {
     RESET_RESET_BASE, RESET_RESET_JOINTS, RESET_RESET_JOINTS_WITHIN_LIMITS_RANGE, RESET_BASE_EXTERNAL_FORCE_TORQUE,
     RESET_ACTION_DELAY
 };
-enum Curriculum { CURRICULUM_TERRAIN_LEVELS };
+/* those of which resets read the outcome change nothing themselves */
+enum Curriculum {
+    CURRICULUM_TERRAIN_LEVELS, CURRICULUM_COMMAND_CURRICULUM, CURRICULUM_COMMANDS_VEL, CURRICULUM_MODIFY_REWARD_WEIGHT
+};
+enum BodyEvent {
+    BODY_EVENT_PHYSICS_MATERIAL, BODY_EVENT_ADD_BASE_MASS, BODY_EVENT_BASE_COM, BODY_EVENT_RANDOMIZE_ACTUATOR_GAINS,
+    BODY_EVENT_RANDOMIZE_JOINT_PARAMETERS, BODY_EVENT_RANDOMIZE_MOTOR_STRENGTH
+};
+enum BodyList {
+    LIST_STIFFNESS, LIST_DAMPING, LIST_EFFORT_LIMIT, LIST_SATURATION_EFFORT, LIST_ARMATURE, LIST_JOINT_FRICTION,
+    LIST_JOINT_DAMPING
+};
+enum CommandKind {
+    KIND_NONE, KIND_HEADING, KIND_POSITION, KIND_POSE, KIND_GAIT, KIND_JUMP, KIND_FOOT_PLACEMENT
+};
+enum Operation { OPERATION_ADD, OPERATION_SCALE, OPERATION_ABS, OPERATION_ADD_EFFORT_SHARE };
+enum Combine { COMBINE_AVERAGE, COMBINE_GEOMETRIC_MEAN, COMBINE_MIN, COMBINE_MULTIPLY, COMBINE_MAX };
 enum End {
     END_TIME_OUT, END_BASE_CONTACT, END_ILLEGAL_CONTACT, END_BAD_ORIENTATION, END_ROOT_HEIGHT_BELOW_MINIMUM
 };
@@ -162,17 +194,26 @@ enum Reward {
     REWARD_ACTION_RATE_L2, REWARD_ACTION_SMOOTHNESS, REWARD_FEET_AIR_TIME, REWARD_UNDESIRED_CONTACTS,
     REWARD_AIR_TIME, REWARD_AIR_TIME_VARIANCE, REWARD_FOOT_CLEARANCE, REWARD_FOOT_SLIP, REWARD_GAIT,
     REWARD_FEET_AIR_TIME_POSITIVE_BIPED, REWARD_FEET_SLIDE, REWARD_DESIRED_CONTACTS, REWARD_GAIT_SYMMETRY,
+    REWARD_UPRIGHT, REWARD_TORSO_HEIGHT, REWARD_POSTURE, REWARD_FEET_OFF_GROUND, REWARD_TRACK_BASE_HEIGHT_EXP,
+    REWARD_ORIENTATION_CONTROL, REWARD_HEADING_COMMAND_ERROR_ABS, REWARD_POSITION_COMMAND_ERROR_TANH,
+    REWARD_TRACKING_CONTACTS_SHAPED_FORCE, REWARD_TRACKING_CONTACTS_SHAPED_VEL, REWARD_JUMP_HEIGHT_EXP,
+    REWARD_JUMP_VELOCITY_EXP, REWARD_JUMP_CONTACTS, REWARD_RAIBERT_HEURISTIC, REWARD_FEET_CLEARANCE_CMD_LINEAR,
     REWARD_SCALED_TORQUES_L2, REWARD_SCALED_ACC_L2
 };
 enum Observation {
     OBSERVATION_BASE_LIN_VEL, OBSERVATION_BASE_ANG_VEL, OBSERVATION_PROJECTED_GRAVITY,
     OBSERVATION_VELOCITY_COMMANDS, OBSERVATION_HEIGHT_SCAN,
     /* a number of each foot */
-    OBSERVATION_FEET_CONTACT_FORCE, OBSERVATION_FEET_AIR_TIME, OBSERVATION_FEET_HEIGHT,
+    OBSERVATION_FEET_CONTACT_FORCE, OBSERVATION_FEET_AIR_TIME, OBSERVATION_CLOCK_INPUTS, OBSERVATION_FEET_HEIGHT,
     /* numbers of each joint */
     OBSERVATION_JOINT_POS_REL, OBSERVATION_JOINT_VEL_REL, OBSERVATION_LAST_ACTION,
     /* numbers that an env keeps: of each joint, or any */
-    OBSERVATION_KEPT_OF_JOINTS, OBSERVATION_KEPT
+    OBSERVATION_KEPT_OF_JOINTS, OBSERVATION_KEPT,
+    /* of bodies that resets change */
+    OBSERVATION_CONTACT_FRICTION, OBSERVATION_BASE_MASS_OFFSET, OBSERVATION_BASE_COM_OFFSET,
+    /* of commands */
+    OBSERVATION_HEADING_COMMANDS, OBSERVATION_POSITION_COMMANDS, OBSERVATION_POSE_COMMANDS,
+    OBSERVATION_GAIT_COMMANDS, OBSERVATION_JUMP_COMMANDS, OBSERVATION_FOOT_PLACEMENT_COMMANDS
 };
 
 #ifdef __CUDACC__

@@ -74,10 +74,10 @@ impl Shape {
     }
 
     /// Numbers that are kept of a robot that is watched: its rows of drive, state and report before
-    /// the physics of a control step and after it, the length of its episode, and whether they are
-    /// those of a broken state, which stay.
+    /// the physics of a control step and after it, the length of its episode, whether they are
+    /// those of a broken state, which stay, and the numbers of its body that resets change.
     pub fn kept(&self) -> usize {
-        2 * self.of_one().exchanged() + 2
+        2 * self.of_one().exchanged() + 2 + BODY_JOINTS + BODY_LISTS * self.tables.at(JOINTS)
     }
 
     /// The shape of one robot.

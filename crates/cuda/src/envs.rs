@@ -68,12 +68,24 @@ pub enum FormKind {
     Observation,
     /// Curricula.
     Curriculum,
+    /// Events that change the body at a reset.
+    BodyEvent,
+    /// Commands other than the velocity.
+    Command,
 }
 
 impl FormKind {
     /// All sorts.
-    pub const ALL: [Self; 6] =
-        [Self::Interval, Self::Reset, Self::End, Self::Reward, Self::Observation, Self::Curriculum];
+    pub const ALL: [Self; 8] = [
+        Self::Interval,
+        Self::Reset,
+        Self::End,
+        Self::Reward,
+        Self::Observation,
+        Self::Curriculum,
+        Self::BodyEvent,
+        Self::Command,
+    ];
 
     /// The prefix of their names in `device/tables.h`, and the names.
     fn places(self) -> (&'static str, &'static [(&'static str, usize)]) {
@@ -84,6 +96,8 @@ impl FormKind {
             Self::Reward => ("REWARD", REWARD_PLACES),
             Self::Observation => ("OBSERVATION", OBSERVATION_PLACES),
             Self::Curriculum => ("CURRICULUM", CURRICULUM_PLACES),
+            Self::BodyEvent => ("BODY_EVENT", BODYEVENT_PLACES),
+            Self::Command => ("KIND", COMMANDKIND_PLACES),
         }
     }
 
@@ -110,7 +124,126 @@ impl Form {
         let term = places.iter().find(|(known, _)| *known == wanted)?.1;
         Some(Self { term, numbers, integers })
     }
+
+    /// The same with more in front: numbers and integers that the task knows, and the term does
+    /// not.
+    #[must_use]
+    pub fn after(mut self, numbers: &[f32], integers: &[i32]) -> Self {
+        self.numbers.splice(0..0, numbers.iter().copied());
+        self.integers.get_or_insert_default().splice(0..0, integers.iter().copied());
+        self
+    }
 }
+
+/// Effect of a drawn number on the value of a joint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DrawForm {
+    /// It is added.
+    Add,
+    /// It is a factor.
+    Scale,
+    /// It replaces the value.
+    Abs,
+    /// It times the joint's largest effort is added.
+    AddEffortShare,
+}
+
+impl DrawForm {
+    /// The number that the text has for it.
+    pub fn code(self) -> i32 {
+        whole(match self {
+            Self::Add => OPERATION_ADD,
+            Self::Scale => OPERATION_SCALE,
+            Self::Abs => OPERATION_ABS,
+            Self::AddEffortShare => OPERATION_ADD_EFFORT_SHARE,
+        })
+    }
+}
+
+/// Rule that combines the friction of ground and robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CombineForm {
+    /// Mean.
+    Average,
+    /// Root of the product.
+    GeometricMean,
+    /// Smaller one.
+    Min,
+    /// Product.
+    Multiply,
+    /// Larger one.
+    Max,
+}
+
+/// A list of a body's joints that events at resets change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BodyList {
+    /// Stiffness.
+    Stiffness,
+    /// Damping.
+    Damping,
+    /// Limit of the effort.
+    EffortLimit,
+    /// Effort at which a motor saturates.
+    SaturationEffort,
+    /// Rotor inertia.
+    Armature,
+    /// Dry friction.
+    JointFriction,
+    /// Viscous friction.
+    JointDamping,
+}
+
+impl BodyList {
+    /// All lists, in the order in which [`Column::Body`] has them behind [`BODY_NUMBERS`] numbers.
+    pub const ALL: [Self; BODY_LISTS] = [
+        Self::Stiffness,
+        Self::Damping,
+        Self::EffortLimit,
+        Self::SaturationEffort,
+        Self::Armature,
+        Self::JointFriction,
+        Self::JointDamping,
+    ];
+
+    /// The number that the text has for it.
+    pub fn code(self) -> i32 {
+        whole(match self {
+            Self::Stiffness => LIST_STIFFNESS,
+            Self::Damping => LIST_DAMPING,
+            Self::EffortLimit => LIST_EFFORT_LIMIT,
+            Self::SaturationEffort => LIST_SATURATION_EFFORT,
+            Self::Armature => LIST_ARMATURE,
+            Self::JointFriction => LIST_JOINT_FRICTION,
+            Self::JointDamping => LIST_JOINT_DAMPING,
+        })
+    }
+}
+
+/// Numbers of a body that events at resets change, before the lists of its joints: mass, centre of
+/// mass and inertia of the base, static, dynamic, torsional and rolling friction.
+pub const BODY_NUMBERS: usize = BODY_JOINTS;
+
+/// Columns of parameters that such events change, a bit for each.
+const CHANGED_AT_RESETS: [usize; 14] = [
+    P_MASS,
+    P_COM,
+    P_INERTIA,
+    P_STATIC_FRICTION,
+    P_DYNAMIC_FRICTION,
+    P_TORSIONAL_FRICTION,
+    P_ROLLING_FRICTION,
+    P_STIFFNESS,
+    P_DAMPING,
+    P_EFFORT_LIMIT,
+    P_SATURATION_EFFORT,
+    P_ARMATURE,
+    P_JOINT_FRICTION,
+    P_JOINT_DAMPING,
+];
+
+/// Ranges of the velocity command from a control step on: forward and left velocity and yaw rate.
+pub type StageForm = (u64, [[f32; 2]; 3]);
 
 /// A reward term with its weight.
 #[derive(Clone, Debug)]
@@ -119,6 +252,19 @@ pub struct RewardForm {
     pub form: Form,
     /// Factor of its value.
     pub weight: f32,
+    /// Later factors, each with the control step from which it holds, in the order of the steps.
+    pub later: Vec<(u64, f32)>,
+}
+
+/// A command other than the velocity.
+#[derive(Clone, Debug)]
+pub struct CommandForm {
+    /// Kind of command.
+    pub form: Form,
+    /// Numbers of the command among those of all such commands.
+    pub numbers: Range<usize>,
+    /// Time between two draws, s; absent where a reset alone draws it.
+    pub resampling: Option<f32>,
 }
 
 /// An observation term in a row of observations.
@@ -251,6 +397,18 @@ pub struct TaskForm {
     pub tiles: Option<Tiles>,
     /// Rays of the height scanner, x and y about the base, m.
     pub rays: Vec<[f32; 2]>,
+    /// Later ranges of the velocity command, in the order of their control steps.
+    pub stages: Vec<StageForm>,
+    /// Ranges up to which a curriculum widens those of the velocity command.
+    pub widest: [Option<[f32; 2]>; 3],
+    /// Events that change the body at a reset.
+    pub body_events: Vec<Form>,
+    /// Commands other than the velocity.
+    pub other_commands: Vec<CommandForm>,
+    /// Friction of the ground: static, dynamic, torsional, rolling.
+    pub ground_friction: [f32; 4],
+    /// Rule that combines the first two with the robot's.
+    pub combine: CombineForm,
 }
 
 /// Tables of a task for a block, and the sizes of its columns and rows.
@@ -264,6 +422,8 @@ pub struct TaskTables {
     pub columns: usize,
     /// Numbers of a row of actions, of observations, and of an episode that has ended.
     pub widths: [usize; 3],
+    /// Columns of parameters that the task changes at resets, a bit for each.
+    pub own: u32,
 }
 
 /// Lists behind the numbers of a table.
@@ -291,6 +451,18 @@ impl Lists {
         at
     }
 
+    /// Adds stages, each with the control step from which it holds, and says where they begin.
+    fn stages<'a>(&mut self, stages: impl Iterator<Item = (u64, &'a [f32])>) -> i32 {
+        let mut all = Vec::new();
+        for (step, numbers) in stages {
+            let [low, high] = [step as u32, (step >> 32) as u32].map(u32::cast_signed);
+            all.extend([low, high, self.place(numbers)]);
+        }
+        let first = whole(self.integers.len());
+        self.integers.extend(all);
+        first
+    }
+
     /// Adds a term's own lists. Its entry has `before` in front of its numbers, and ends with
     /// `more`.
     fn entry(&mut self, form: &Form, before: &[f32], more: [i32; 3]) -> [i32; FORM_SIZE] {
@@ -312,6 +484,13 @@ impl TaskTables {
             AutoresetForm::NextStep => AT_NEXT_STEP,
             AutoresetForm::Never => NEVER,
         };
+        let combine = match task.combine {
+            CombineForm::Average => COMBINE_AVERAGE,
+            CombineForm::GeometricMean => COMBINE_GEOMETRIC_MEAN,
+            CombineForm::Min => COMBINE_MIN,
+            CombineForm::Multiply => COMBINE_MULTIPLY,
+            CombineForm::Max => COMBINE_MAX,
+        };
         for (name, number) in [
             (K_SLOTS, task.slots.len()),
             (K_ACTIONS, task.widths[0]),
@@ -331,9 +510,14 @@ impl TaskTables {
             (K_NUM_TERMS, task.observations.len()),
             (K_NUM_CURRICULA, task.curricula.len()),
             (K_RAYS, task.rays.len()),
+            (K_NUM_BODY_EVENTS, task.body_events.len()),
+            (K_NUM_STAGES, task.stages.len()),
+            (K_NUM_COMMANDS, task.other_commands.len()),
+            (K_COMBINE, combine),
         ] {
             lists.integers[name] = whole(number);
         }
+        let body = if task.body_events.is_empty() { 0 } else { BODY_NUMBERS + BODY_LISTS * task.joints };
         let mut next = 0;
         for (name, size) in [
             (X_ACTION, task.slots.len()),
@@ -350,6 +534,12 @@ impl TaskTables {
             (X_ORIGIN, 2),
             (X_KEPT, task.kept),
             (X_SCAN, task.rays.len()),
+            (X_WIDENING, 1),
+            (X_TRACKING, 1),
+            (X_STARTUP, body),
+            (X_BODY, body),
+            (X_NUMBERS, task.other_commands.last().map_or(0, |command| command.numbers.end)),
+            (X_WAIT, task.other_commands.len()),
         ] {
             lists.integers[name] = whole(next);
             next += size;
@@ -357,6 +547,9 @@ impl TaskTables {
         let tiles = task.tiles.unwrap_or_default();
         lists.integers[K_TILES..K_TILES + 2].copy_from_slice(&tiles.num.map(|number| whole(number as usize)));
         lists.integers[K_FAILURES] = task.failures.cast_signed();
+        let widened = task.widest.iter().enumerate().filter(|(_, widest)| widest.is_some());
+        lists.integers[K_WIDENS] = widened.fold(0, |bits, (place, _)| bits | 1 << place);
+        let widest = task.widest.map(Option::unwrap_or_default);
         lists.integers[K_RAY] = lists.place(task.rays.as_flattened());
         let ([down, fall], [heading, standing, turning, sideways]) =
             ([task.gravity.0, [task.gravity.1; 3]], task.shares);
@@ -377,6 +570,8 @@ impl TaskTables {
             (F_BASE_VELOCITY, task.reset_ranges.as_flattened()),
             (F_MAX_ACTION, &[task.max_action]),
             (F_TILE, &tiles.size),
+            (F_WIDEST, widest.as_flattened()),
+            (F_GROUND_FRICTION, &task.ground_friction),
         ] {
             lists.numbers[name..name + numbers.len()].copy_from_slice(numbers);
         }
@@ -403,9 +598,10 @@ impl TaskTables {
         let ends: Vec<_> = ends.collect();
         lists.list(K_END, ends.as_flattened());
         let mut rewards = Vec::new();
-        for RewardForm { form, weight } in &task.rewards {
+        for RewardForm { form, weight, later } in &task.rewards {
             let weight = lists.place(&[*weight]);
-            rewards.push(lists.entry(form, &[], [weight, 0, 0]));
+            let first = lists.stages(later.iter().map(|(step, weight)| (*step, std::slice::from_ref(weight))));
+            rewards.push(lists.entry(form, &[], [weight, whole(later.len()), first]));
         }
         lists.list(K_REWARD, rewards.as_flattened());
         let mut terms = Vec::new();
@@ -417,9 +613,20 @@ impl TaskTables {
         lists.list(K_TERM, terms.as_flattened());
         let curricula: Vec<_> = task.curricula.iter().map(|form| lists.entry(form, &[], [0; 3])).collect();
         lists.list(K_CURRICULUM, curricula.as_flattened());
+        let events: Vec<_> = task.body_events.iter().map(|form| lists.entry(form, &[], [0; 3])).collect();
+        lists.list(K_BODY_EVENT, events.as_flattened());
+        let mut commands = Vec::new();
+        for CommandForm { form, numbers, resampling } in &task.other_commands {
+            let more = [whole(numbers.start), whole(numbers.len()), i32::from(resampling.is_some())];
+            lists.integers[K_PLACE + form.term] = more[0];
+            commands.push(lists.entry(form, &[resampling.unwrap_or_default()], more));
+        }
+        lists.list(K_COMMANDS, commands.as_flattened());
+        lists.integers[K_STAGE] = lists.stages(task.stages.iter().map(|(step, ranges)| (*step, ranges.as_flattened())));
+        let own = if body > 0 { CHANGED_AT_RESETS.iter().fold(0, |all, name| all | 1 << (name - P_OFFSET)) } else { 0 };
         let ended = ENDED_SIZE + TOTALS + task.rewards.len();
         let widths = [task.widths[0], task.widths[1], ended];
-        Self { integers: lists.integers, numbers: lists.numbers, columns: next, widths }
+        Self { integers: lists.integers, numbers: lists.numbers, columns: next, widths, own }
     }
 
     fn at(&self, name: usize) -> usize {
@@ -500,6 +707,16 @@ pub enum Column {
     Origin,
     /// Numbers that observations show for a whole episode.
     Kept,
+    /// Widening of the command's ranges, and running mean of the tracking reward.
+    Progress,
+    /// Numbers of the body that resets change, as startup events left them, see [`BodyList`].
+    Startup,
+    /// The present ones.
+    Body,
+    /// Numbers of the commands other than the velocity.
+    Numbers,
+    /// Time until each of them is drawn again.
+    Wait,
 }
 
 impl Column {
@@ -516,6 +733,11 @@ impl Column {
             Self::Stance => X_SCALE,
             Self::Origin => X_ORIGIN,
             Self::Kept => X_KEPT,
+            Self::Progress => X_WIDENING,
+            Self::Startup => X_STARTUP,
+            Self::Body => X_BODY,
+            Self::Numbers => X_NUMBERS,
+            Self::Wait => X_WAIT,
         }
     }
 }
@@ -541,6 +763,10 @@ pub enum Word {
     TileRow,
     /// Column of its tile.
     TileColumn,
+    /// Control steps since the simulation began, low and high half.
+    Clock,
+    /// Commands other than the velocity that a caller has set, a bit for each.
+    Pinned,
 }
 
 impl Word {
@@ -555,6 +781,8 @@ impl Word {
             Self::Flags => U_FLAGS,
             Self::TileRow => U_LEVEL,
             Self::TileColumn => U_COLUMN,
+            Self::Clock => U_CLOCK,
+            Self::Pinned => U_PINNED,
         }
     }
 }
@@ -641,6 +869,8 @@ pub struct Ended {
     pub steps: u32,
     /// Row of the tile on which it was, if the ground has tiles.
     pub level: u32,
+    /// Widening of its commands' ranges.
+    pub widening: f32,
     /// Sums as in [`Column::Total`].
     pub totals: [f32; TOTALS],
     /// Sum of each reward term.
@@ -675,7 +905,8 @@ impl<'a> Told<'a> {
         let words = &self.ended[env * size..(env + 1) * size];
         let mut numbers = words[ENDED_SIZE..].iter().map(|&word| f32::from_bits(word));
         let totals = std::array::from_fn(|_| numbers.next().unwrap_or_default());
-        Ended { flags: words[1], causes: words[2], steps: words[3], level: words[4], totals, terms: numbers.collect() }
+        let [flags, causes, steps, level] = [1, 2, 3, 4].map(|place| words[place]);
+        Ended { flags, causes, steps, level, widening: f32::from_bits(words[5]), totals, terms: numbers.collect() }
     }
 }
 

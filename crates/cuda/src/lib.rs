@@ -16,8 +16,9 @@ pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
 pub use driver::{Card, Found, find};
 pub use envs::{
-    AutoresetForm, Column, Delay, DeviceRows, Ended, EnvHost, EnvParts, EnvRows, Flow, Form, FormKind, ObservationForm,
-    RewardForm, RowSizes, RowsMemory, RowsOf, SLOTS, Slot, TaskForm, TaskTables, Tiles, Told, Word, flags,
+    AutoresetForm, BODY_NUMBERS, BodyList, Column, CombineForm, CommandForm, Delay, DeviceRows, DrawForm, Ended,
+    EnvHost, EnvParts, EnvRows, Flow, Form, FormKind, ObservationForm, RewardForm, RowSizes, RowsMemory, RowsOf, SLOTS,
+    Slot, StageForm, TaskForm, TaskTables, Tiles, Told, Word, flags,
 };
 pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};

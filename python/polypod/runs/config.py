@@ -15,6 +15,7 @@ from typing import Any, get_args, get_origin
 from polypod import _core
 from polypod.compat import tomllib
 from polypod.files import read_bytes, real_path
+from polypod.runs.engines import SAME_BITS
 from polypod.runs.manifest import MAX_LAYER, Activation, check_size
 from polypod.runs.schema import (
     ALTERNATE,
@@ -267,8 +268,6 @@ def _named(expected: Any) -> str:
 _OF_MOTIONS = ("motions.rewards.", "motions.terminations.", "motions.reset.", "motions.sampling.")
 CHANGEABLE = ("commands.", "events.", "rewards.", "env_shares.", *_OF_MOTIONS)
 """Prefixes of keys in `[run] task_changes`: a policy of the changed task is one of the task."""
-SAME_BITS = tuple(f"physics.engine={engine}" for engine in ("articulated", "auto", "cuda"))
-"""Engines that may be changed there too: nothing but the time depends on them."""
 MAX_ACTION = 1e6
 """Largest limit of actions."""
 MAX_RNN = 4096

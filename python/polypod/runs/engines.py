@@ -4,9 +4,9 @@ from collections.abc import Iterable
 
 ENGINE = "physics.engine="
 ON_THE_CPU = f"{ENGINE}articulated"
-SAME_BITS = (ON_THE_CPU, f"{ENGINE}cuda")
-"""Engines that go on with each other's runs."""
 _OF_A_CARD = (f"{ENGINE}cuda", f"{ENGINE}auto")
+SAME_BITS = (ON_THE_CPU, *_OF_A_CARD)
+"""Engines that go on with each other's runs: nothing but the time depends on them."""
 
 
 def on_the_cpu(changes: Iterable[str]) -> list[str]:

@@ -19,7 +19,7 @@ from polypod.motions import tracking
 from polypod.python_terms import Terms, load
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
-from polypod.runs.engines import ENGINE
+from polypod.runs.engines import ENGINE, SAME_BITS
 from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.goal import UntilWalks, progress_line, threads_of_a_measurement
 from polypod.training.gpu import GpuRunner
@@ -359,7 +359,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
 
     Another engine with the same bits changes nothing.
     """
-    engine = [change for change in options.overrides if change in config.SAME_BITS]
+    engine = [change for change in options.overrides if change in SAME_BITS]
     fixed: dict[str, Any] = {
         "--task": options.task,
         "--num-envs": options.num_envs,
@@ -368,7 +368,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
         "--train-config": options.train_config,
         "--run-name": options.run_name,
         "--init": options.init,
-        "--set": [change for change in options.overrides if change not in config.SAME_BITS] or None,
+        "--set": [change for change in options.overrides if change not in SAME_BITS] or None,
     }
     given = [flag for flag, value in fixed.items() if value is not None]
     if given:
@@ -453,8 +453,8 @@ def runner_of(
     """
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
         return NativeRunner(env, train_config, run, device, reporter, workers)
-    # a policy that acts where the simulator's steps are: nothing of a step leaves the card. An engine that
-    # times itself must not decide which policy comes out, so that the policy acts there either way.
+    # a policy that acts where the simulator's steps are: nothing of a step leaves the card. It acts
+    # there as well where an engine has chosen the CPU by time, which must not decide the policy.
     is_timed = _engine(env.unwrapped.sim) == "auto" and env.could_have_card
     acts_on_card = train_config.can_be_graphs and (env.card is not None or is_timed)
     if train_config.run.learner == "native" and not acts_on_card:

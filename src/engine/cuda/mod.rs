@@ -22,7 +22,7 @@ use crate::error::Error;
 use crate::workers::{Workers, packs_of};
 use robots::{Means, Pair, Robots};
 use trial::Trial;
-pub use whole::WholeSteps;
+pub use whole::{BrokenRobot, WholeSteps};
 
 /// Folders of Python packages, in which `cuda` looks for torch's NVRTC; the first call counts.
 pub use polypod_cuda::search_packages;

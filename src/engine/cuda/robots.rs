@@ -8,6 +8,7 @@ use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Heights, Motion, 
 use smallvec::{SmallVec, smallvec};
 
 use super::super::{DivergenceRecord, RobotRows, RobotSlices, Run, StateLimits, history_length};
+use super::whole::BrokenRobot;
 use crate::blocks::Block;
 use crate::components::{
     ActuatorDelay, ActuatorMemory, BasePose, BaseVelocity, ConstraintImpulses, ContactImpulse, ExternalWrench,
@@ -288,17 +289,16 @@ impl Robots {
         self.changed[robot / shape.tile] = true;
     }
 
-    /// The record of a robot whose state broke in the last whole control step, and the length of
-    /// its episode before.
+    /// The record of a robot whose state broke in the last whole control step.
     ///
     /// # Errors
     /// A device that is lost.
-    pub(super) fn record(&mut self, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError> {
+    pub(super) fn record(&mut self, robot: usize) -> Result<Option<BrokenRobot>, DeviceError> {
         let (shape, joints, ages) = (self.block.shape().of_one(), self.topology.num_joints(), self.ages);
         let kept = self.block.envs().map_or(Ok(None), |envs| envs.kept(robot))?;
         let Some(mut kept) = kept else { return Ok(None) };
         let (before, after) = kept.split_at_mut(shape.exchanged());
-        let (after, length) = after.split_at_mut(shape.exchanged());
+        let (after, more) = after.split_at_mut(shape.exchanged());
         let (before, after) = (shape.exchange(before), shape.exchange(after));
         let zeros: PerJoint = smallvec![0.0; joints];
         let mut targets = JointTargets { history: smallvec![zeros.clone(); ages], fresh: false };
@@ -317,7 +317,8 @@ impl Robots {
             link_forces: LinkForces::default(),
             after: motion(&after, joints),
         };
-        Ok(Some((record, length[0] as u32)))
+        let changes = self.task.as_ref().is_some_and(|task| task.own != 0);
+        Ok(Some(BrokenRobot { record, length: more[0] as u32, body: changes.then(|| more[2..].to_vec()) }))
     }
 
     /// Parts of at most some robots each.
@@ -380,6 +381,13 @@ impl Robots {
         if self.block.shape().capacity < all || !self.forces.is_empty() {
             self.allocate(means, all, Vec::new())?;
             self.task = None;
+        }
+        if task.own & !self.own != 0 {
+            if self.parameters.is_empty() {
+                self.parameters = self.block.shape().spread(&self.common);
+            }
+            self.own |= task.own;
+            self.changed.fill(true);
         }
         if self.task.as_ref() != Some(&task) {
             if let Some(envs) = self.block.envs() {

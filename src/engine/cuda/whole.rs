@@ -8,6 +8,16 @@ use crate::blocks::{Block, BlockList};
 use crate::engine::{DivergenceRecord, RobotSlices, Run, StateLimits};
 use crate::workers::Workers;
 
+/// A robot whose state broke in a whole control step.
+pub struct BrokenRobot {
+    /// Its state before the physics and after it.
+    pub record: DivergenceRecord,
+    /// Length of its episode before, control steps.
+    pub length: u32,
+    /// Numbers of its body, where resets change them, as `Column::Body` of `polypod-cuda` has them.
+    pub body: Option<Vec<f32>>,
+}
+
 /// An engine whose device makes whole control steps. Blocks are those of the morphologies that have
 /// robots, in their order. An error means that the device is lost.
 pub trait WholeSteps {
@@ -57,12 +67,12 @@ pub trait WholeSteps {
     /// A device that is lost.
     fn step(&mut self, watched: &[bool], flow: Option<Flow>) -> Result<(), DeviceError>;
 
-    /// The record of a robot of a watched block whose state broke, and the length of its episode
-    /// before; `None` if it was not watched. The block is no longer watched.
+    /// A robot of a watched block whose state broke; `None` if it was not watched. The block is no
+    /// longer watched.
     ///
     /// # Errors
     /// A device that is lost.
-    fn record(&mut self, block: usize, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError>;
+    fn record(&mut self, block: usize, robot: usize) -> Result<Option<BrokenRobot>, DeviceError>;
 
     /// Brings everything to the host's side, and writes the robots' components.
     ///
@@ -147,7 +157,7 @@ impl WholeSteps for DeviceEngine {
         Ok(())
     }
 
-    fn record(&mut self, block: usize, robot: usize) -> Result<Option<(DivergenceRecord, u32)>, DeviceError> {
+    fn record(&mut self, block: usize, robot: usize) -> Result<Option<BrokenRobot>, DeviceError> {
         let robots = &mut self.placed()?.robots[block];
         let record = robots.record(robot)?;
         envs(robots.device_block())?.watch(false)?;

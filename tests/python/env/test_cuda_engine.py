@@ -203,36 +203,52 @@ def test_actions_that_are_no_numbers_are_refused_some_steps_later(card: str) -> 
     assert gpu.snapshot() == cpu.snapshot()
 
 
+def train(tmp_path: Path, learner: str, name: str, engine: str) -> tuple[list[bytes], bytes]:
+    """Policy and simulation after three iterations with the card."""
+    pytest.importorskip("torch")
+    from polypod.training.session import Options, train_with
+    from polypod.training.workers import Workers
+
+    options = Options(
+        task="velocity_flat",
+        num_envs=256,
+        max_iterations=3,
+        learner=learner,
+        logger="none",
+        run_name=name,
+        log_dir=tmp_path,
+        device="cuda",
+        overrides=[*SHORT, f"physics.engine={engine}"],
+    )
+    _, runner = train_with(options, Workers.alone())
+    sim = runner.env.unwrapped.sim
+    if runner.env.card is not None:
+        assert sim.steps_on_device > 0
+    return [weights.detach().cpu().numpy().tobytes() for weights in runner.alg.actor.parameters()], sim.snapshot()
+
+
 @pytest.mark.cuda
 def test_a_training_on_the_card_has_the_bits_of_one_beside_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, card: str
 ) -> None:
-    torch = pytest.importorskip("torch")
+    on_card = train(tmp_path, "rsl_rl", "card", "cuda")
     from polypod.rsl_rl import VecEnv
-    from polypod.training.session import Options, train_with
-    from polypod.training.workers import Workers
 
-    def train(name: str, engine: str) -> tuple[list[bytes], bytes]:
-        options = Options(
-            task="velocity_flat",
-            num_envs=256,
-            max_iterations=3,
-            learner="rsl_rl",
-            logger="none",
-            run_name=name,
-            log_dir=tmp_path,
-            device="cuda",
-            overrides=[*SHORT, f"physics.engine={engine}"],
-        )
-        _, runner = train_with(options, Workers.alone())
-        sim = runner.env.unwrapped.sim
-        assert (runner.env.card is not None) == (sim.steps_on_device > 0)
-        return [weights.detach().cpu().numpy().tobytes() for weights in runner.alg.actor.parameters()], sim.snapshot()
-
-    on_card = train("card", "cuda")
-    assert torch.cuda.is_available()
     monkeypatch.setattr(VecEnv, "_find_card", lambda _: None)
-    assert train("beside", "articulated") == on_card
+    assert train(tmp_path, "rsl_rl", "beside", "articulated") == on_card
+
+
+@pytest.mark.cuda
+def test_whichever_engine_is_faster_the_native_learner_trains_the_same_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, card: str
+) -> None:
+    on_card = train(tmp_path, "native", "card", "cuda")
+    assert train(tmp_path, "native", "timed", "auto") == on_card
+    from polypod.rsl_rl import VecEnv
+
+    # as if the CPU were faster
+    monkeypatch.setattr(VecEnv, "_find_card", lambda _: None)
+    assert train(tmp_path, "native", "slower", "auto") == on_card
 
 
 @pytest.mark.cuda
@@ -243,11 +259,28 @@ def test_flat_ground_with_resets_pushes_and_randomisation(card: str) -> None:
 
 @pytest.mark.cuda
 def test_tasks_that_are_on_the_card_as_a_whole(card: str) -> None:
-    for task in ("velocity_flat", "velocity_flat_legged", "velocity_rough", "velocity_rough_legged"):
+    tasks = ("velocity_flat", "velocity_flat_legged", "velocity_rough", "velocity_rough_legged", "getup_flat")
+    for task in tasks:
         assert VecSim(task, 48, overrides=[CUDA]).lacks_on_device() is None, task
-    gains = 'events.randomize_actuator_gains={mode="reset", enabled=true}'
-    sim = VecSim("velocity_flat", 48, overrides=[CUDA, gains])
-    assert sim.lacks_on_device() == "an event that changes bodies at a reset"
+    sim = VecSim("velocity_flat", 48, overrides=[CUDA, 'events.body_variation={mode="reset", enabled=true}'])
+    assert sim.lacks_on_device() == "the event `body_variation`"
+
+
+@pytest.mark.cuda
+def test_bodies_that_change_at_resets_and_curricula(card: str) -> None:
+    names = ("actuator_gains", "joint_parameters", "motor_strength")
+    events = [f'events.randomize_{name}={{mode="reset", enabled=true}}' for name in names]
+    events += [f"events.{name}.mode=reset" for name in ("physics_material", "add_base_mass", "base_com")]
+    check("velocity_flat", 512, 200, [*SHORT, *events])
+    check("velocity_rough", 512, 100, [*SHORT, *events])
+    terms = 'reward_terms=["track_lin_vel_xy_exp", "base_linear_velocity"]'
+    widens = f"curriculum.command_curriculum={{{terms}, threshold=0.02, step=0.2, lin_vel_x=[-2.0, 2.0]}}"
+    check("velocity_flat", 512, 150, [*SHORT, widens])
+
+
+@pytest.mark.cuda
+def test_robots_that_get_up(card: str) -> None:
+    check("getup_flat", 256, 100, SHORT[:1])
 
 
 @pytest.mark.cuda
