@@ -457,7 +457,7 @@ fn of_bodies_that_change_at_resets() {
         .map(String::from),
     );
     compare(other, 100, 30, "other");
-    for rule in ["min", "max", "geometric_mean"] {
+    for rule in ["min", "max"] {
         let mut options = busy(&["unitree_a1"], 20);
         options.overrides.extend(
             [
