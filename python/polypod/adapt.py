@@ -33,8 +33,8 @@ from polypod.training.workers import Workers
 
 TRAIN_CONFIG, ON_GPU = "adapt", "adapt_on_gpu"
 """Train configs: on a CPU, and with a GPU."""
-SEPARATE, SEPARATE_ON_GPU = "adapt_separate", "adapt_separate_on_gpu"
-"""Train configs of a separate network of the robot."""
+SEPARATE = "adapt_separate"
+"""Train config of a separate network of the robot, on a CPU and with a GPU."""
 CRITIC_WARMUP = 10
 """Iterations in which a new critic learns before the policy moves."""
 HOPELESS = 0.5
@@ -71,7 +71,7 @@ class Options:
     every: int | None = None
     """Iterations between two measurements; None: `EVERY`, or `EVERY_SEPARATE`."""
     train_config: str | None = None
-    """None: `adapt`, of a separate network `adapt_separate`; with a GPU these and `_on_gpu`."""
+    """None: `adapt`, with a GPU `adapt_on_gpu`; of a separate network `adapt_separate`."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
     or a stop, the robot has two legs or a GPU is there, and neither checkpoint nor neighbours are
@@ -123,8 +123,6 @@ class Result:
     """The signal that ended it."""
     unfinished: Path | None = None
     """Best checkpoint of a separate network that does not beat the policy yet."""
-    separate_config: str = SEPARATE
-    """Train config with which that network goes on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -216,7 +214,6 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         _minutes(began),
         stopped_by,
         unfinished,
-        _separate_config(options),
     )
 
 
@@ -382,15 +379,10 @@ def _is_alone(options: Options, robot: str) -> bool:
     return not is_bound and (_has_gpu(options) or _set_of_two_legs(robot) is not None)
 
 
-def _separate_config(options: Options) -> str:
-    """Name of the train config of a separate network."""
-    return SEPARATE_ON_GPU if _has_gpu(options) else SEPARATE
-
-
 def _own_train_config(options: Options) -> TrainConfig:
     """The settings of a separate network."""
     _, of_training = config.split_overrides(options.overrides)
-    return config.load(options.train_config or _separate_config(options), of_training)
+    return config.load(options.train_config or SEPARATE, of_training)
 
 
 def _train_config(
@@ -479,7 +471,7 @@ def verdict(result: Result) -> str:
     else:
         next_step = (
             "the separate network does not beat it yet; go on with  "
-            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {result.separate_config}"
+            f"polypod adapt {result.robot} --checkpoint {result.unfinished} --train-config {SEPARATE}"
         )
     return (
         f"{result.name}: {end} after {spent}; {why or 'it walks with one of two seeds'}. The best policy is {shown}; "

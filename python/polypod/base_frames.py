@@ -8,13 +8,16 @@ plane is moved.
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from polypod import _core
 from polypod.arrays import Array
+from polypod.urdf_elements import mass_of
 
 ROOT = "x_forward_z_up"
 """Name of the link that is put above the root."""
@@ -41,6 +44,11 @@ MOST_ENDS = 1000
 """Most links without another below them that are compared."""
 ENDLESS = 1e9
 """No joint is as far from another, m."""
+BENT = 0.2
+"""Knees that a stance bends to the rear by this angle do not bend forwards, rad."""
+TOES = 0.005
+"""The centre of mass of a foot lies at least this far from its ankle, on the side of the toes,
+m."""
 FARTHEST = 20.0
 """A joint as far from its robot's root, m, is given in millimetres."""
 
@@ -92,6 +100,57 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     link, found, up, sign = standing
     _turn(robot, link, found.upright(up, sign))
     return found.assumption(str(link.get("name")), up, sign)
+
+
+def turn_round(robot: ElementTree.Element, draft: Mapping[str, Any]) -> str | None:
+    """Turns the base's frame of a body on two legs that looks along its -x.
+
+    Knees that bend to the rear alone and feet that point there tell it.
+
+    Args:
+        robot: the tree of a URDF.
+        draft: the config that was drafted for it.
+
+    Returns:
+        A line that says what was assumed; None where the frame is right or unknown.
+    """
+    link, (frames, _) = _base(robot), _zero_pose(robot)
+    roles, pose = draft["joint_roles"], draft["default_pose"]
+    ankles = [joint for joint in robot.findall("joint") if joint.get("name") in _pair(roles, "ANKLE_PITCH")]
+    bends = all(angle < -BENT for angle in _pair(pose, "KNEE"))
+    if link is None or link.get("name") not in frames or ROOT in frames or len(ankles) != 2 or not bends:
+        return None
+    toes = frames[link.get("name")][0][:, 0]
+    if not all(_foot(robot, frames, ankle) @ toes < -TOES for ankle in ankles):
+        return None
+    _turn(robot, link, np.diag([-1.0, -1.0, 1.0]))
+    problem = "its knees bend to the rear and its feet point there, so -x is taken for forward"
+    return f'link "{link.get("name")}": {problem}; let its frame have x forward'
+
+
+def _pair(values: Mapping[str, Any], role: str) -> list[Any]:
+    return [values[slot] for side in "LR" if (slot := f"{side}_{role}") in values]
+
+
+def _foot(
+    robot: ElementTree.Element, frames: Mapping[str | None, tuple[Array, Array]], ankle: ElementTree.Element
+) -> Array:
+    """From an ankle to the centre of mass of all that it moves, at zero, in the root's frame, m."""
+    below: dict[str | None, list[str | None]] = {}
+    for joint in robot.findall("joint"):
+        below.setdefault(_parent(joint), []).append(_child(joint))
+    names = [_child(ankle)]
+    for name in names:
+        names += below.get(name, [])
+    moment, mass = np.zeros(3), 0.0
+    for link in robot.findall("link"):
+        if link.get("name") in names:
+            turn, place = frames[link.get("name")]
+            own = mass_of(link)
+            moment = moment + own * (place + turn @ _pose(link.find("inertial/origin"))[1])
+            mass += own
+    centre: Array = moment / mass if mass > 0.0 else frames[_child(ankle)][1]
+    return centre - frames[_child(ankle)][1]
 
 
 def _lying(robot: ElementTree.Element) -> "tuple[_Axes, int, float] | None":

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 
-from polypod import _core, bare_ends, base_frames, token_inertias, urdf_copies
+from polypod import _core, bare_ends, base_frames, massless_links, token_inertias, urdf_copies
 from polypod.compat import tomllib
 from polypod.files import real_path, relative_path, write_text
 from polypod.vector_env import make
@@ -188,14 +188,13 @@ def new_robot(
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
-    copy = None
+    copy, packages = None, package_dirs or {}
     if (tree := urdf_copies.read(urdf)) is not None:
         try:
             base_frames.check_units(urdf, tree)
             # a library's own copy of a URDF stays what the file says
-            held, packages = locked_joints or {}, package_dirs or {}
             if not urdf_key:
-                copy = _copy(urdf, tree, folder, drafts_of, held, packages, keeps_up=bool(joint_roles))
+                copy = _copy(urdf, tree, folder, drafts_of, locked_joints or {}, packages, keeps_up=bool(joint_roles))
         except _core.PolypodError:
             raise
         except ValueError:
@@ -206,6 +205,12 @@ def new_robot(
         drafted = functools.partial(drafts_of, urdf, urdf=urdf_key or relative_path(real_path(urdf), folder))
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
+    if tree is not None and not urdf_key and not joint_roles:
+        turned = _turned(urdf, tree, copy, folder, drafted(), packages)
+        if turned is not None:
+            if copy is not None:
+                (folder / copy.name).unlink()
+            copy, drafted = turned, _drafts_on(turned, folder / turned.name, drafts_of, out, force)
 
     def written(draft: Draft) -> str:
         return draft["toml"] if refine is None else refine(draft["toml"])
@@ -293,14 +298,17 @@ def _copy(
     keeps_up: bool,
 ) -> urdf_copies.Copy | None:
     """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
+    massless = massless_links.notes(*massless_links.settle(robot, held))
     tokens = token_inertias.replace(robot)
+    impossible = token_inertias.replace_impossible(robot)
     links = bare_ends.add_boxes(robot, held)
     upright, assumed, moved = upright_of(urdf, robot, drafts_of, packages, keeps_up=keeps_up)
     ends = f"a box at the end of each limb: {', '.join(links)}"
     changes = {
         "upright": ("an upright base", [assumed] if assumed else []),
         "centred": ("the base frame in the middle", [moved] if moved else []),
-        "with_inertias": ("inertias of bars", [token_inertias.note(tokens)] if tokens else []),
+        "with_masses": ("masses of moving links", massless),
+        "with_inertias": ("inertias of bars", token_inertias.notes(tokens, impossible)),
         "with_feet": (ends, [bare_ends.note(link) for link in links]),
     }
     made = {ending: change for ending, change in changes.items() if change[1]}
@@ -310,6 +318,28 @@ def _copy(
     text = urdf_copies.text_of(upright, what, urdf, folder, packages)
     notes = [note for _, own in made.values() for note in own]
     return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
+
+
+def _turned(
+    urdf: Path,
+    robot: ElementTree.Element,
+    copy: urdf_copies.Copy | None,
+    folder: Path,
+    draft: Draft,
+    packages: Collection[str],
+) -> urdf_copies.Copy | None:
+    """The copy of a URDF, or of its copy, whose base looks ahead; None where it does."""
+    own = urdf if copy is None else folder / copy.name
+    robot = deepcopy(robot) if copy is None else ElementTree.fromstring(copy.text)
+    try:
+        note = base_frames.turn_round(robot, tomllib.loads(draft["toml"]))
+    except ValueError:
+        # the reader of URDFs takes these numbers
+        return None
+    if note is None:
+        return None
+    text = urdf_copies.text_of(robot, f"{own.name} with its base turned round", own, folder, packages)
+    return urdf_copies.Copy(text, f"{own.stem}_turned.urdf", [*(copy.notes if copy else []), note])
 
 
 def upright_of(

@@ -12,7 +12,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from polypod.arrays import Array
-from polypod.urdf_elements import link_at, mass_of
+from polypod.bare_ends import MOVING
+from polypod.urdf_elements import and_more, link_at, mass_of
 
 LEAST_LINKS = 3
 """Number of links with the same moments, which are placeholders if one of them is too large or too
@@ -55,16 +56,48 @@ def replace(robot: ElementTree.Element) -> list[str]:
         for link in links
     ]
     for link in tokens:
-        _write_bar(link, _tip(robot, link))
+        write_bar(robot, link)
     return [str(link.get("name")) for link in tokens]
 
 
-def note(links: list[str]) -> str:
-    """Says what is assumed of these links."""
-    return (
-        f'link "{links[0]}": its moments of inertia are a placeholder (as of {len(links) - 1} more links); those of a '
-        "bar to its end take their place: write the inertias about the centres of mass, in kg m^2"
-    )
+def replace_impossible(robot: ElementTree.Element) -> list[str]:
+    """Gives moving links whose inertia is not positive definite the moments of bars.
+
+    Args:
+        robot: the tree of a URDF.
+
+    Returns:
+        The links.
+
+    Raises:
+        ValueError: for a number that is none; the reader of URDFs names it.
+    """
+    moving = {link_at(joint, "child") for joint in robot.findall("joint") if joint.get("type") in MOVING}
+    found = [link for link in robot.findall("link") if link.get("name") in moving and _is_impossible(link)]
+    for link in found:
+        write_bar(robot, link)
+    return [str(link.get("name")) for link in found]
+
+
+def write_bar(robot: ElementTree.Element, link: ElementTree.Element) -> None:
+    """Gives a link that has a mass the moments of a bar from its joint to its end."""
+    _write_bar(link, _tip(robot, link))
+
+
+def notes(tokens: list[str], impossible: list[str]) -> list[str]:
+    """Says what is assumed of links with placeholders, and of those that no body can be."""
+    found = []
+    if tokens:
+        found.append(
+            f'link "{tokens[0]}": its moments of inertia are a placeholder (as of {len(tokens) - 1} more links); those '
+            "of a bar to its end take their place: write the inertias about the centres of mass, in kg m^2"
+        )
+    if impossible:
+        found.append(
+            f'link "{impossible[0]}": its inertia is not positive definite{and_more(impossible)}; that of a bar to its '
+            "end takes its place: write the inertia about the centre of mass, in kg m^2"
+        )
+    return found
 
 
 def _moment(link: ElementTree.Element) -> float | None:
@@ -78,6 +111,16 @@ def _moment(link: ElementTree.Element) -> float | None:
         return 0.0
     is_same = max(moments) - min(moments) <= SAME * max(moments) and not any(products)
     return moments[0] if is_same and moments[0] > 0.0 else None
+
+
+def _is_impossible(link: ElementTree.Element) -> bool:
+    """Whether no body has the moments of a link."""
+    inertia = link.find("inertial/inertia")
+    if inertia is None or not mass_of(link) > 0.0:
+        return False
+    xx, yy, zz, xy, xz, yz = (float(inertia.get(key, 0.0)) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"))
+    moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(moments[0]) <= SAME * float(moments[-1])
 
 
 def _ball(moment: float, mass: float) -> float:

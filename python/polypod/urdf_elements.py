@@ -1,5 +1,6 @@
 """Reads elements of a URDF that may be missing."""
 
+from collections.abc import Collection
 from xml.etree import ElementTree
 
 
@@ -13,3 +14,9 @@ def mass_of(link: ElementTree.Element) -> float:
     """Mass of a link, kg; 0 without one. Raises ValueError for text that is no number."""
     mass = link.find("inertial/mass")
     return 0.0 if mass is None else float(mass.get("value", 0.0))
+
+
+def and_more(links: Collection[str]) -> str:
+    """Clause for a note on the first of some links: how many more there are."""
+    more = len(links) - 1
+    return f" (like {more} more link{'s' if more > 1 else ''})" if more else ""

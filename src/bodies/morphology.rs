@@ -16,7 +16,7 @@ use crate::dynamics::{
     NetworkStep, Parameters, Scalar, State, StepSettings, Topology, Workspace,
 };
 use crate::error::Error;
-use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, LimbKind, Model, Place, Roles, Site, Slot};
+use crate::robot::{self, Articulation, BodyGroup, FASTEST, Joint, LimbKind, Model, Place, Pose, Roles, Site, Slot};
 
 /// Normal of level ground.
 pub(crate) const UP: [f64; 3] = [0.0, 0.0, 1.0];
@@ -160,7 +160,7 @@ impl MorphologyModel {
         let nominal = Parameters::from_scalars(&topology, &parameters);
         let lowest = lowest_point(&topology, &parameters, &default_position, &UP);
         let links = model.forward_kinematics(&default_position);
-        let hip_height = hip_height(&model, &roles, &default_position);
+        let hip_height = hip_height(&links, &roles);
         let feet = roles.foot_body.iter().zip(&roles.foot_point);
         let feet = feet.map(|(&body, &point)| links[model.bodies[body].link].transform_point(point));
         let default_feet = feet.map(|place| place.to_array().map(|x| x as f32)).collect();
@@ -514,9 +514,9 @@ fn interpolate(rows: &[[f64; 2]], x: f64) -> f64 {
     }
 }
 
-/// Mean height of the first joints of the legs above the frame of the base, m.
-pub(crate) fn hip_height(model: &Model, roles: &Roles, position: &[f64]) -> f64 {
-    let links = model.forward_kinematics(position);
+/// Mean height of the first joints of the legs above the frame of the base, m, with links at these
+/// poses.
+pub(crate) fn hip_height(links: &[Pose], roles: &Roles) -> f64 {
     let legs = roles.limbs.iter().filter(|limb| limb.kind == LimbKind::Leg);
     let hips: Vec<f64> =
         legs.filter_map(|leg| leg.joints.first()).map(|hip| links[hip.joint + 1].translation.z).collect();

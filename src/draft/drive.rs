@@ -23,8 +23,9 @@ const STIFFNESS_BOUNDS: [f64; 2] = [0.25, 0.8];
 /// a hip, and let a policy balance: see [`balance`](super::balance).
 const STIFFNESS_OF_TWO_LEGS: f64 = 0.7;
 const DAMPING_OF_TWO_LEGS: f64 = 1.0 / 40.0;
-/// Damping over stiffness of a leg of `USUAL_MASS`, s, which falls with the same power; quadrupeds
-/// in `configs/robots` have 1/50 to 1/25, the lightest ones most.
+/// Damping over stiffness of a leg, s, which falls with the same power up to `USUAL_MASS`.
+/// Quadrupeds in `configs/robots` have 1/50 to 1/25, the lightest ones most, and those of 60 to 75
+/// kg no less than the others: 1/40 to 1/31.
 const DAMPING: f64 = 1.0 / 36.0;
 /// Effort limit over weight times leg length where the URDF has none, of hips and knees and of
 /// ankles. Legs in `configs/robots` have 0.16 to 1.2 and 0.06 to 0.29.
@@ -151,7 +152,7 @@ impl<'a> Drives<'a> {
         let of_both = median.map_or(of_load, |effort| (of_load * STIFFNESS_OF_EFFORT * effort).sqrt());
         (drives.stiffness, drives.damping) = match roles.legs.len() {
             2 => (STIFFNESS_OF_TWO_LEGS * load, DAMPING_OF_TWO_LEGS),
-            _ => (of_both.clamp(least, most), DAMPING * drives.of_mass()),
+            _ => (of_both.clamp(least, most), DAMPING * drives.of_mass().max(1.0)),
         };
         drives
     }

@@ -309,7 +309,7 @@ impl Findings<'_> {
         let mut q = vec![0.0; self.model.joints.len()];
         self.joints.iter().for_each(|own| q[own.joint] = own.angle);
         let Articulation { topology, parameters, .. } = Articulation::new(self.model, true, &[], None);
-        hip_height(self.model, roles, &q) - lowest_point(&topology, &parameters, &q, &UP)
+        hip_height(&self.model.forward_kinematics(&q), roles) - lowest_point(&topology, &parameters, &q, &UP)
     }
 
     /// Groups of joints with the same gains and limits, in the order of their first slots.

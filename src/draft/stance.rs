@@ -11,12 +11,18 @@ use crate::robot::{Joint, LEGS, Model, Pose};
 /// Share of thigh and shank together by which the foot lies below the hip. This and the next two
 /// are the pose in which most of the known quadrupeds are trained (thighs 0.8 rad to the rear in
 /// front and 1.0 behind, knees bent by 1.5, legs 0.1 outwards: Isaac Lab), with all feet on one
-/// level: a policy walks best from a pose that it knows.
-const CROUCH: f64 = 0.72;
+/// level: a policy walks best from a pose that it knows. The second share is that of front and hind
+/// knees which point to each other, and carry more the lower the body is: their makers have 0.83 to
+/// 0.85.
+const CROUCH: [f64; 2] = [0.72, 0.84];
 /// Distance of front and hind feet behind their hips, as the same share.
 const BEHIND: [f64; 2] = [0.037, 0.181];
-/// Angle by which the legs lean outwards, rad.
-const OUTWARD: f64 = 0.1;
+/// Angles by which the legs lean outwards, rad: the usual one, and the largest one of a known
+/// robot, to which they lean until the feet are apart.
+const OUTWARD: [f64; 2] = [0.1, 0.25];
+/// Least distance between left and right feet over the height of the centre of mass above the
+/// soles. Most known quadrupeds have 1.0 to 1.5; narrower ones tip over as they turn.
+const APART: f64 = 1.05;
 /// Share of each joint's range that the pose keeps away from either end.
 const MARGIN: f64 = 0.05;
 /// Range of the search for a joint without limits, rad.
@@ -50,27 +56,51 @@ pub(super) struct Stance {
 impl Stance {
     pub fn find(model: &Model, roles: &Legs) -> Self {
         let legs: [Leg; 4] = std::array::from_fn(|leg| Leg::new(model, roles, leg));
+        let stance = Self::find_at(model, roles, &legs, CROUCH[0]);
+        let mut q = vec![0.0; model.joints.len()];
+        roles.joint_of_slot.iter().zip(stance.angles).for_each(|(&joint, angle)| q[joint] = angle);
+        let links = model.forward_kinematics(&q);
+        // front and hind knees point to each other
+        if legs.iter().enumerate().all(|(index, leg)| leg.knee_is_behind(&links) == (index % 2 == 0)) {
+            return Self::find_at(model, roles, &legs, CROUCH[1]);
+        }
+        stance
+    }
+
+    /// The stance whose feet lie below the hips by a share of thigh and shank together.
+    fn find_at(model: &Model, roles: &Legs, legs: &[Leg; 4], crouch: f64) -> Self {
         // the shortest leg says how high the robot stands
         let ground =
-            legs.iter().map(|leg| leg.hip.z - CROUCH * leg.length - leg.radius).fold(f64::NEG_INFINITY, f64::max);
+            legs.iter().map(|leg| leg.hip.z - crouch * leg.length - leg.radius).fold(f64::NEG_INFINITY, f64::max);
         let hips = legs.iter().map(|leg| leg.hip.x).sum::<f64>() / 4.0;
         let leg_length = legs.iter().map(|leg| leg.length).sum::<f64>() / 4.0;
         let mut q = vec![0.0; model.joints.len()];
         let mut misses = [0.0; 4];
-        let mut shift = 0.0;
+        let (mut shift, mut apart) = (0.0, 0.0);
         for _ in 0..ROUNDS {
             for (index, (leg, miss)) in legs.iter().zip(&mut misses).enumerate() {
                 let behind = BEHIND[index % 2] * leg.length;
-                let outward = OUTWARD.sin() * CROUCH * leg.length * leg.hip.y.signum();
-                let target = DVec3::new(leg.hip.x + shift - behind, leg.track + outward, ground + leg.radius);
-                *miss = leg.solve(model, target, &mut q);
+                let side = leg.hip.y.signum();
+                let [usual, most] = OUTWARD.map(|angle| angle.sin() * crouch * leg.length);
+                let wide = (0.5 * apart - side * leg.track).clamp(usual, most);
+                let mut stand = |outward: f64| {
+                    let left = leg.track + side * outward;
+                    leg.solve(model, DVec3::new(leg.hip.x + shift - behind, left, ground + leg.radius), &mut q)
+                };
+                *miss = stand(wide);
+                if *miss >= REACHED && wide > usual {
+                    // its limits end before
+                    *miss = stand(usual);
+                }
             }
             let furthest = 0.2 * leg_length;
+            let centre = centre_of_mass(model, &q);
             // the hips of a balanced robot lie about its centre of mass
-            shift = (centre_of_mass(model, &q).x - hips).clamp(-furthest, furthest);
+            shift = (centre.x - hips).clamp(-furthest, furthest);
+            apart = APART * (centre.z - ground);
         }
         let angles = roles.joint_of_slot.map(|joint| q[joint]);
-        Self { angles, misses, height: -ground, leg_length, torques: torques(model, &legs, &q) }
+        Self { angles, misses, height: -ground, leg_length, torques: torques(model, legs, &q) }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Contact of a leg with the ground.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::chains::ZeroPose;
 use super::model::{Geometry, Shape};
@@ -20,6 +20,10 @@ const SOLE: f64 = 5e-3;
 
 /// Points of a hull that are no higher than this above its lowest one are its sole, m.
 const LEVEL: f64 = 1e-4;
+
+/// Least length of the level part of a hull over that of its part no higher than `SOLE`. Soles of
+/// scanned meshes are uneven: their lowest point alone says little.
+const EVEN: f64 = 0.5;
 
 /// The contact of a leg with the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,8 +81,13 @@ pub(super) fn find(pose: &ZeroPose<'_>, knee: usize, named: Option<usize>) -> Op
 pub(super) fn sole(pose: &ZeroPose<'_>, body: usize) -> Option<(DVec3, f64)> {
     let body = &pose.model.bodies[body];
     let link = &pose.links[body.link];
-    let down = link.rotation.transpose() * -DVec3::Z;
-    let balls: Vec<(DVec3, f64)> = body.shapes.iter().flat_map(|shape| contact_balls(shape, down)).collect();
+    let to_link = link.rotation.transpose();
+    let down = to_link * -DVec3::Z;
+    let balls_of = |shape: &Shape| match uneven_sole(shape, to_link) {
+        Some(middle) => vec![(middle, 0.0)],
+        None => contact_balls(shape, down),
+    };
+    let balls: Vec<(DVec3, f64)> = body.shapes.iter().flat_map(balls_of).collect();
     let depth = |(point, radius): &(DVec3, f64)| point.dot(down) + radius;
     let deepest = balls.iter().map(depth).fold(f64::NEG_INFINITY, f64::max);
     let lowest: Vec<&(DVec3, f64)> = balls.iter().filter(|ball| depth(ball) > deepest - SOLE).collect();
@@ -90,6 +99,27 @@ pub(super) fn sole(pose: &ZeroPose<'_>, body: usize) -> Option<(DVec3, f64)> {
             Some((touching.sum::<DVec3>() / lowest.len() as f64, 0.0))
         }
     }
+}
+
+/// Middle of the sole of a hull whose lowest points lie close together, in the link frame and at
+/// the height of the lowest one; None for other shapes. `to_link` rotates from the base to the
+/// link.
+fn uneven_sole(shape: &Shape, to_link: DMat3) -> Option<DVec3> {
+    let Geometry::Hull { points } = &shape.geometry else {
+        return None;
+    };
+    // along the axes of the base
+    let points: Vec<DVec3> =
+        points.iter().map(|point| to_link.transpose() * shape.origin.transform_point(*point)).collect();
+    let lowest = points.iter().map(|point| point.z).fold(f64::INFINITY, f64::min);
+    let part = |height: f64| {
+        let part = points.iter().filter(|point| point.z < lowest + height);
+        part.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), point| (low.min(*point), high.max(*point)))
+    };
+    let length = |(low, high): (DVec3, DVec3)| (high - low).truncate().length();
+    let (low, high) = part(SOLE);
+    let is_even = length(part(LEVEL)) >= EVEN * length((low, high));
+    (!is_even).then(|| to_link * (0.5 * (low + high)).with_z(lowest))
 }
 
 /// Lowest z of shapes and joints below `joint`, at zero joint positions in the base frame, m.

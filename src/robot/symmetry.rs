@@ -4,7 +4,8 @@ use glam::DVec3;
 
 use super::error::Warning;
 use super::limbs::{Limb, LimbJoint, Roles, Side};
-use super::model::{Geometry, Model};
+use super::model::{Geometry, JointKind, Model};
+use super::pose::Pose;
 
 /// Masses and lengths of both sides differ by less than this share of the larger one.
 const SHARE: f64 = 0.05;
@@ -13,9 +14,13 @@ const LEAST_MASS: f64 = 0.02;
 const LEAST_LENGTH: f64 = 0.004;
 /// Inertias, as the sum of the principal moments, differ by less than this share.
 const INERTIA_SHARE: f64 = 0.25;
+/// Ranges of joints have at least this share of the smaller one in common.
+const RANGE_SHARE: f64 = 0.5;
+/// Cosine of the angle to the mirrored axis up to which two joints turn about the same axis.
+const SAME_AXIS: f64 = 0.9;
 
-/// Warnings for limbs whose counterpart on the other side has other joints, masses, lengths or
-/// feet. A policy that learns from mirror images takes them for the same.
+/// Warnings for limbs whose counterpart on the other side has other joints, ranges, masses, lengths
+/// or feet. A policy that learns from mirror images takes them for the same.
 pub fn unequal_sides(model: &Model, roles: &Roles) -> Vec<Warning> {
     let mut warnings = Vec::new();
     let mut others: Vec<&Limb> = roles.limbs.iter().filter(|limb| limb.place.side() == Side::Right).collect();
@@ -44,6 +49,7 @@ pub fn unequal_sides(model: &Model, roles: &Roles) -> Vec<Warning> {
 /// Differences between two limbs, a clause each.
 fn differences(model: &Model, left: &Limb, right: &Limb) -> Vec<String> {
     let mut found = Vec::new();
+    let zero = model.forward_kinematics(&[]);
     if left.joints.len() != right.joints.len() {
         found.push(format!("{} joints against {}", left.joints.len(), right.joints.len()));
     }
@@ -68,9 +74,32 @@ fn differences(model: &Model, left: &Limb, right: &Limb) -> Vec<String> {
             let [a, b] = [own, other].map(|joint| &model.joints[joint.joint].name);
             found.push(format!("joint \"{a}\" lies {of_a:.4} m from the one before and \"{b}\" {of_b:.4} m"));
         }
+        found.extend(ranges(model, &zero, own.joint, other.joint));
     }
     feet(model, left, right, &mut found);
     found
+}
+
+/// Says that two joints turn to different sides: their ranges, mirrored, have little in common.
+fn ranges(model: &Model, zero: &[Pose], left: usize, right: usize) -> Option<String> {
+    let [a, b] = [left, right].map(|joint| &model.joints[joint]);
+    let [of_a, of_b] = [(left, a), (right, b)].map(|(joint, own)| zero[joint + 1].rotation * own.axis);
+    // a mirror turns the direction of a rotation about x or z round, and that of a slide along y
+    let mirror = if a.kind == JointKind::Prismatic { DVec3::new(1.0, -1.0, 1.0) } else { DVec3::new(-1.0, 1.0, -1.0) };
+    let direction = (mirror * of_a).dot(of_b);
+    let is_limited = [a.lower, a.upper, b.lower, b.upper].iter().all(|limit| limit.is_finite());
+    if !is_limited || a.kind != b.kind || direction.abs() < SAME_AXIS {
+        return None;
+    }
+    let (lower, upper) = if direction > 0.0 { (b.lower, b.upper) } else { (-b.upper, -b.lower) };
+    let common = a.upper.min(upper) - a.lower.max(lower);
+    let unit = if a.kind == JointKind::Prismatic { "m" } else { "rad" };
+    (common < RANGE_SHARE * (a.upper - a.lower).min(upper - lower)).then(|| {
+        format!(
+            "joint \"{}\" reaches from {:.2} to {:.2} {unit} and \"{}\", mirrored, from {lower:.2} to {upper:.2}",
+            a.name, a.lower, a.upper, b.name
+        )
+    })
 }
 
 fn feet(model: &Model, left: &Limb, right: &Limb, found: &mut Vec<String>) {

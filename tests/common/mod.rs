@@ -10,7 +10,7 @@ use polypod::components::{
     JointEffort, JointState,
 };
 use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
+    ContactSettings, ControlStep, Drive, Kernels, Parameters, Report, State, StepSettings, Topology, Workspace,
 };
 use polypod::{Sim, SimOptions};
 
@@ -54,25 +54,35 @@ pub fn busy(robots: &[&str], num_envs: usize) -> SimOptions {
     }
 }
 
+/// The engine's own control step, without actions.
+pub fn control_step<S: Kernels>(
+    topology: &Topology,
+    settings: &StepSettings,
+    parameters: &Parameters<S>,
+    state: &mut State<S>,
+) {
+    ControlStep {
+        topology,
+        settings,
+        terrain: None,
+        parameters,
+        nominal: None,
+        drive: &Drive::zeros(topology, 1),
+        substeps: 0..settings.decimation,
+        state,
+        report: &mut Report::zeros(topology, settings.decimation),
+        work: &mut Workspace::new(topology),
+    }
+    .run();
+}
+
 /// Control step of a robot in free fall whose joints turn with this velocity, rad/s or m/s.
 pub fn fall(topology: &Topology, parameters: &Parameters<f32>, joint_velocity: f32, decimation: usize) -> State<f32> {
     let settings =
         StepSettings { dt: 0.005, decimation, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
     let mut state = State::zeros(topology);
     state.joint_velocity.fill(joint_velocity);
-    ControlStep {
-        topology,
-        settings: &settings,
-        terrain: None,
-        parameters,
-        nominal: None,
-        drive: &Drive::zeros(topology, 1),
-        substeps: 0..decimation,
-        state: &mut state,
-        report: &mut Report::zeros(topology, decimation),
-        work: &mut Workspace::new(topology),
-    }
-    .run();
+    control_step(topology, &settings, parameters, &mut state);
     state
 }
 

@@ -1,8 +1,8 @@
 //! Passive bodies that nothing touches, for the tests of the integrator.
 
-use polypod::dynamics::{
-    ContactSettings, ControlStep, Drive, Parameters, Report, State, StepSettings, Topology, Workspace,
-};
+use polypod::dynamics::{ContactSettings, Parameters, State, StepSettings, Topology};
+
+use crate::common::control_step;
 
 /// The engine's own steps, without ground.
 pub fn move_freely(
@@ -19,17 +19,5 @@ pub fn move_freely(
         gravity,
         contact: ContactSettings { ground: None, ..ContactSettings::default() },
     };
-    ControlStep {
-        topology,
-        settings: &settings,
-        terrain: None,
-        parameters,
-        nominal: None,
-        drive: &Drive::zeros(topology, 1),
-        substeps: 0..steps,
-        state,
-        report: &mut Report::zeros(topology, steps),
-        work: &mut Workspace::new(topology),
-    }
-    .run();
+    control_step(topology, &settings, parameters, state);
 }

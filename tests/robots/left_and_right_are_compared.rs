@@ -54,6 +54,26 @@ fn masses_and_lengths_of_legs() {
 }
 
 #[test]
+fn joints_that_turn_to_different_sides() {
+    let text = urdf("unitree_go2");
+    let limits = ["lower=\"-2.7227\" upper=\"-0.83776\"", "lower=\"0.83776\" upper=\"2.7227\""];
+    let turned = after(&text, "<joint name=\"FR_calf_joint\"", limits[0], limits[1]);
+    let words = ["limbs LF and RF", "\"FL_calf_joint\" reaches from -2.72 to -0.84 rad", "mirrored, from 0.84 to 2.72"];
+    assert_one(&turned, &words);
+    // a hip that opens to the left on both sides
+    let mut opens = text;
+    for (side, limits) in [("FL", "lower=\"-0.2\" upper=\"0.9\""), ("FR", "lower=\"-0.2\" upper=\"0.9\"")] {
+        let word = format!("<joint name=\"{side}_hip_joint\"");
+        opens = after(&opens, &word, "lower=\"-1.0472\" upper=\"1.0472\"", limits);
+    }
+    assert_one(&opens, &["\"FL_hip_joint\" reaches from -0.20 to 0.90 rad", "mirrored, from -0.90 to 0.20"]);
+    // a fifth of it is a maker's choice
+    let mut opens = urdf("unitree_go2");
+    opens = after(&opens, "<joint name=\"FR_hip_joint\"", "lower=\"-1.0472\"", "lower=\"-0.8\"");
+    assert_eq!(warnings(&opens), Vec::<String>::new());
+}
+
+#[test]
 fn feet_of_other_sizes() {
     let large = after(
         &urdf("unitree_go2"),

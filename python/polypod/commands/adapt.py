@@ -44,8 +44,8 @@ class Adapt:
     """Iterations between two measurements. Default: 10; 60 of a separate network."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
-    the policy's. Default: adapt; for a separate network adapt_separate, which also sets networks
-    and task; with a GPU adapt_on_gpu and adapt_separate_on_gpu."""
+    the policy's. Default: adapt, with a GPU adapt_on_gpu; for a separate network adapt_separate,
+    which also sets networks and task."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Train a separate network from scratch in place of the policy. auto: where the policy falls
     before it ends a turn or a stop, the robot has two legs or a GPU is there, and neither

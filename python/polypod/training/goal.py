@@ -193,9 +193,10 @@ class UntilWalks:
         return {name: robot.walking for name, robot in result.robots.items() if robot.walking is not None}
 
     def _keep(self, point: Point, save_interval: int) -> None:
-        """Keeps the best checkpoint and those of the training's own interval."""
+        """Keeps the best checkpoint, of equals the last, and those of the training's interval."""
         wanted, leaves = self.wanted or tuple(point.robots), point
-        if self.best is None or rank(point.robots, wanted) > rank(self.best.robots, wanted):
+        # where all walk, the one before has failed with the second seed
+        if self.best is None or rank(point.robots, wanted) >= rank(self.best.robots, wanted):
             self.best, leaves = point, self.best or point
         if leaves is not self.best and leaves.iterations % save_interval:
             run_dir.remove_checkpoint(leaves.checkpoint)

@@ -68,6 +68,45 @@ def test_gains_of_quadrupeds_are_those_of_makers_within_a_factor(tmp_path, robot
             assert within(FACTOR, own[slot], known[slot]), (slot, key, own[slot], known[slot])
 
 
+@pytest.mark.parametrize(("mass", "least", "most"), [(3.0, 0.03, 0.05), (15.0, 0.027, 0.029), (80.0, 0.027, 0.029)])
+def test_heavy_quadrupeds_are_damped_as_others_and_light_ones_more(tmp_path, mass, least, most):
+    """Damping over stiffness, s; makers' robots of 60 to 75 kg have 0.025 to 0.032."""
+    size = (mass / 15.0) ** (1.0 / 3.0)
+    text = quadruped(mass, 0.25 * size, 0.25 * size, 0.5 * size, effort=40.0 * size**4)
+    groups = draft_of(text, tmp_path)[0]["actuators"].values()
+    assert all(least <= group["damping"] / group["stiffness"] <= most for group in groups)
+
+
+@pytest.mark.parametrize(("leg", "least", "most"), [(0.4, 0.09, 0.11), (0.65, 0.14, 0.17), (1.2, 0.24, 0.26)])
+def test_legs_that_are_long_for_their_distance_lean_farther_outwards(tmp_path, leg, least, most):
+    """Feet that are near to each other tip over; to lean by more than 0.25 rad is no maker's."""
+    pose = draft_of(quadruped(thigh=0.47 * leg, shank=0.53 * leg), tmp_path)[0]["default_pose"]
+    angles = [side * pose[f"{place}_HAA"] for side, legs in ((1, "LF LH"), (-1, "RF RH")) for place in legs.split()]
+    assert all(least <= angle <= most for angle in angles), angles
+    assert max(angles) - min(angles) < 0.01
+
+
+def test_bodies_whose_knees_point_to_each_other_stand_taller(tmp_path):
+    """As the makers of robots with such knees have them: at 0.84 of the leg's length, not 0.72."""
+    text = quadruped()
+    pointing = re.sub(
+        r'(name="m[23]3".*?)lower="-2.6" upper="-0.3"', r'\1lower="0.3" upper="2.6"', text, flags=re.DOTALL
+    )
+    assert pointing.count('lower="0.3"') == 2
+    usual, tall = (draft_of(robot, tmp_path)[0]["default_pose"] for robot in (text, pointing))
+    assert [usual["LF_KFE"], usual["LH_KFE"]] == pytest.approx([-1.5, -1.5], abs=0.1)
+    assert [tall["LF_KFE"], tall["LH_KFE"]] == pytest.approx([-1.0, 1.0], abs=0.1)
+
+
+def test_hips_that_reach_no_farther_lean_as_usual(tmp_path):
+    text = quadruped(thigh=0.4, shank=0.5)
+    narrow = text.replace('lower="-0.8" upper="0.8"', 'lower="-0.16" upper="0.16"')
+    assert narrow != text
+    draft, _, notes = draft_of(narrow, tmp_path)
+    assert 0.09 <= draft["default_pose"]["LF_HAA"] <= 0.11
+    assert not any("default_pose" in note for note in notes), notes
+
+
 LIMITS = re.compile(r'(effort|velocity)="[^"]*"')
 
 
@@ -283,9 +322,11 @@ def test_unknown_parameters_of_descriptions_are_refused():
 @pytest.mark.parametrize("below", [0.05, 0.12])
 def test_a_thigh_below_the_axis_of_abduction_bends_no_further(tmp_path, below):
     """The height of the pose counts from the thigh, as in HyQ."""
-    plain, _, _ = draft_of(quadruped(), tmp_path)
+    # short legs: they need not lean farther outwards for the height
+    short = quadruped(thigh=0.16, shank=0.17)
+    plain, _, _ = draft_of(short, tmp_path)
     thighs = r'(<joint name="m\d2"[^>]*><origin xyz="0\.0 -?0\.07) 0\.0"'
-    text, count = re.subn(thighs, rf'\1 {-below}"', quadruped())
+    text, count = re.subn(thighs, rf'\1 {-below}"', short)
     assert count == 4
     lower, _, _ = draft_of(text, tmp_path)
     for slot, angle in plain["default_pose"].items():

@@ -312,7 +312,7 @@ def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_p
     text = " ".join(done.stdout.split())
     assert "The best policy is legged; the separate network does not beat it yet" in text
     model = unfinished.relative_to(tmp_path)
-    go_on = f"polypod adapt unitree_h1 --checkpoint {model} --train-config adapt_separate_on_gpu"
+    go_on = f"polypod adapt unitree_h1 --checkpoint {model} --train-config adapt_separate"
     assert text.endswith(go_on)
     # as the command says, but for the size of the training
     measured(falls, FIGURES, FIGURES)

@@ -52,9 +52,14 @@ def options(tmp_path, **changes):
 
 
 def measured(monkeypatch, figures):
-    """Lets measurements give these figures, one after the other."""
+    """Lets measurements of checkpoints that are there give these figures, one after the other."""
     given = iter(figures)
-    monkeypatch.setattr(UntilWalks, "_measure", lambda self, path, seed: {"unitree_go1": next(given)})
+
+    def measure(self, path, seed):
+        assert path.is_file()
+        return {"unitree_go1": next(given)}
+
+    monkeypatch.setattr(UntilWalks, "_measure", measure)
 
 
 def bad(error):
