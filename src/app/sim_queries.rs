@@ -212,16 +212,14 @@ impl Sim {
     ///
     /// # Errors
     /// A command that the task does not give.
-    pub fn command_numbers(&self, name: &str) -> Result<Vec<f32>, Error> {
+    pub fn command_numbers(&mut self, name: &str) -> Result<Vec<f32>, Error> {
         let term = &self.task().command_terms[self.place_of_command(name)?];
         let (range, columns) = (term.range.clone(), term.columns.len());
         let mut numbers = vec![0.0; columns * self.num_envs()];
-        let world = self.world();
-        if let Some(mut query) = world.try_query::<(&EnvId, &CommandNumbers)>() {
-            for (env, command) in query.iter(world) {
-                let at = columns * env.0 as usize;
-                numbers[at..at + columns].copy_from_slice(&command.numbers[range.clone()]);
-            }
+        let world = self.world_mut();
+        for (env, command) in world.query::<(&EnvId, &CommandNumbers)>().iter(world) {
+            let at = columns * env.0 as usize;
+            numbers[at..at + columns].copy_from_slice(&command.numbers[range.clone()]);
         }
         Ok(numbers)
     }

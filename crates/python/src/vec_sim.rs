@@ -783,11 +783,11 @@ impl VecSim {
     #[doc = docstring!("VecSim.command_of")]
     fn command_of<'py>(slf: &Bound<'py, Self>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         Self::fetch(slf)?;
-        let (py, this) = (slf.py(), slf.try_borrow()?);
+        let (py, mut this) = (slf.py(), slf.try_borrow_mut()?);
         if name == VELOCITY_COMMAND && this.sim.task().has_velocity_command() {
             return this.arrays.command.bind(py).call_method0("copy");
         }
-        let numbers = this.sim.command_numbers(name).map_err(|error| to_python(py, error))?;
+        let numbers = this.sim.run(py, |sim| sim.command_numbers(name))?.map_err(|error| to_python(py, error))?;
         let shape = [this.sim.num_envs(), numbers.len() / this.sim.num_envs().max(1)];
         Ok(numbers.into_pyarray(py).reshape(shape)?.into_any())
     }
