@@ -25,7 +25,7 @@ STEPS, FALLS = 0.8, 0.5
 """A measurement promises nothing as long as a robot misses its commands, with the noise of the
 training, by more than this share of a standing robot's error, or falls in more than this share of
 its episodes."""
-MOST_ON_ONE_THREAD, MOST_THREADS = 1024, 8
+MOST_ON_ONE_THREAD, MOST_THREADS = 512, 8
 """Envs whose perceptron one thread of torch steps as fast as many, which wait for each other and
 keep the simulator's threads from their cores; and threads that share larger batches."""
 
