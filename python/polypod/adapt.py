@@ -25,7 +25,7 @@ from polypod.new_robot import new_robot, robot_name
 from polypod.runs import config, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
-from polypod.tensors import one_thread
+from polypod.tensors import torch_threads
 from polypod.training import session
 from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
@@ -414,7 +414,7 @@ def _measured(
 ) -> dict[str, Walking]:
     """Figures with the seed that selects nothing."""
     count = len(run_dir.read_manifest(checkpoint)["robots"]) if robots is None else len(robots)
-    with one_thread() if envs_per_robot * count <= GLANCE else contextlib.nullcontext():
+    with torch_threads(1) if envs_per_robot * count <= GLANCE else contextlib.nullcontext():
         result = evaluate_checkpoint(
             checkpoint,
             robots,

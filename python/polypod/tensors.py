@@ -28,14 +28,14 @@ def tensor_over(array: npt.NDArray[Any]) -> torch.Tensor:
 
 
 @contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Lets torch compute on one thread.
+def torch_threads(count: int) -> Iterator[None]:
+    """Lets torch compute on `count` threads while the context lasts.
 
-    Small batches are no faster on several, and far slower on a busy machine.
+    One is best for small batches: they are no faster on several, and far slower on a busy machine.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
     try:
         yield
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before)

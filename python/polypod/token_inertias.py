@@ -55,9 +55,7 @@ def replace(robot: ElementTree.Element) -> list[str]:
         and any(not SMALLEST * size <= _ball(moment, mass_of(link)) <= size for link in links)
         for link in links
     ]
-    for link in tokens:
-        write_bar(robot, link)
-    return [str(link.get("name")) for link in tokens]
+    return _write_bars(robot, tokens)
 
 
 def replace_impossible(robot: ElementTree.Element) -> list[str]:
@@ -74,14 +72,27 @@ def replace_impossible(robot: ElementTree.Element) -> list[str]:
     """
     moving = {link_at(joint, "child") for joint in robot.findall("joint") if joint.get("type") in MOVING}
     found = [link for link in robot.findall("link") if link.get("name") in moving and _is_impossible(link)]
-    for link in found:
-        write_bar(robot, link)
-    return [str(link.get("name")) for link in found]
+    return _write_bars(robot, found)
 
 
 def write_bar(robot: ElementTree.Element, link: ElementTree.Element) -> None:
     """Gives a link that has a mass the moments of a bar from its joint to its end."""
-    _write_bar(link, _tip(robot, link))
+    inertia = link.find("inertial/inertia")
+    if inertia is None:
+        return
+    tip, mass = _tip(robot, link), mass_of(link)
+    length = float(np.linalg.norm(tip))
+    along = tip / length
+    across, about = (mass / 12.0 * factor * length**2 for factor in (1.0 + WIDTH**2, 2.0 * WIDTH**2))
+    tensor = across * np.eye(3) + (about - across) * np.outer(along, along)
+    for row, first in enumerate("xyz"):
+        for column, second in enumerate("xyz"):
+            if row <= column:
+                inertia.set(f"i{first}{second}", repr(float(tensor[row, column])))
+    origin = link.find("inertial/origin")
+    if origin is not None:
+        # the tensor is along the axes of the link
+        origin.set("rpy", "0 0 0")
 
 
 def notes(tokens: list[str], impossible: list[str]) -> list[str]:
@@ -98,6 +109,13 @@ def notes(tokens: list[str], impossible: list[str]) -> list[str]:
             "end takes its place: write the inertia about the centre of mass, in kg m^2"
         )
     return found
+
+
+def _write_bars(robot: ElementTree.Element, links: list[ElementTree.Element]) -> list[str]:
+    """Gives each of these links the moments of its bar; returns their names."""
+    for link in links:
+        write_bar(robot, link)
+    return [str(link.get("name")) for link in links]
 
 
 def _moment(link: ElementTree.Element) -> float | None:
@@ -149,23 +167,6 @@ def _tip(robot: ElementTree.Element, link: ElementTree.Element) -> Array:
     tip = max(places, key=lambda place: float(np.linalg.norm(place)))
     length = float(np.linalg.norm(tip))
     return tip if length >= SHORTEST else np.array([0.0, 0.0, SHORTEST])
-
-
-def _write_bar(link: ElementTree.Element, tip: Array) -> None:
-    length, inertia = float(np.linalg.norm(tip)), link.find("inertial/inertia")
-    if inertia is None:
-        return
-    along, mass = tip / length, mass_of(link)
-    across, about = (mass / 12.0 * factor * length**2 for factor in (1.0 + WIDTH**2, 2.0 * WIDTH**2))
-    tensor = across * np.eye(3) + (about - across) * np.outer(along, along)
-    for row, first in enumerate("xyz"):
-        for column, second in enumerate("xyz"):
-            if row <= column:
-                inertia.set(f"i{first}{second}", repr(float(tensor[row, column])))
-    origin = link.find("inertial/origin")
-    if origin is not None:
-        # the tensor is along the axes of the link
-        origin.set("rpy", "0 0 0")
 
 
 def _place(joint: ElementTree.Element) -> Array:

@@ -7,9 +7,9 @@ import contextlib
 import dataclasses
 import os
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 
@@ -17,6 +17,7 @@ from polypod.evaluation import ENVS_PER_ROBOT, Evaluation, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, shortfall, walks, why_not
 from polypod.runs import run_dir
 from polypod.runs.schema import URMA
+from polypod.tensors import torch_threads
 from polypod.training.runner import Runner
 
 SEED, CONFIRMING_SEED = 0, 1
@@ -183,8 +184,9 @@ class UntilWalks:
                 self.walked = all(walks(self.confirmation[robot]) for robot in wanted)
 
     def _measure(self, path: Path, seed: int) -> dict[str, Walking]:
-        num_envs = self._envs_per_robot * len(run_dir.read_manifest(path)["robots"])
-        chosen = threads_of_a_measurement(path, self._threads, self._envs_per_robot)
+        manifest = run_dir.read_manifest(path)
+        num_envs = self._envs_per_robot * len(manifest["robots"])
+        chosen = threads_of_a_measurement(manifest, self._threads, self._envs_per_robot)
         # weights are drawn before they are read from the checkpoint
         with torch.random.fork_rng(devices=[]), chosen:
             result = evaluate_checkpoint(path, num_envs=num_envs, seed=seed, threads=self._threads)
@@ -202,28 +204,23 @@ class UntilWalks:
             run_dir.remove_checkpoint(leaves.checkpoint)
 
 
-@contextlib.contextmanager
 def threads_of_a_measurement(
-    checkpoint: Path, threads: int | None, envs_per_robot: int = ENVS_PER_ROBOT
-) -> Iterator[None]:
+    manifest: Mapping[str, Any], threads: int | None, envs_per_robot: int = ENVS_PER_ROBOT
+) -> contextlib.AbstractContextManager[None]:
     """Gives torch the threads that suit a measurement; a training on a GPU leaves it one.
 
     Args:
-        checkpoint: the policy's.
+        manifest: the policy's.
         threads: of the training; None: one per core, `MOST_THREADS` at most.
         envs_per_robot: of the measurement.
     """
-    before, manifest = torch.get_num_threads(), run_dir.read_manifest(checkpoint)
     num_envs = envs_per_robot * len(manifest["robots"])
     if manifest["policy"]["class_name"] != URMA and num_envs <= MOST_ON_ONE_THREAD:
-        torch.set_num_threads(1)
-    elif before == 1:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        torch.set_num_threads(threads or min(cores, MOST_THREADS))
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+        return torch_threads(1)
+    if torch.get_num_threads() > 1:
+        return contextlib.nullcontext()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return torch_threads(threads or min(cores, MOST_THREADS))
 
 
 def progress_line(point: Point, wanted: Collection[str] | None = None) -> str:

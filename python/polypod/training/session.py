@@ -128,7 +128,7 @@ def train(options: Options) -> int:
         return 128 + runner.stopped_by
     result = None if goal is None else goal.evaluation_of(checkpoint)
     if result is None:
-        with threads_of_a_measurement(checkpoint, options.threads):
+        with threads_of_a_measurement(run_dir.read_manifest(checkpoint), options.threads):
             result = evaluate_checkpoint(checkpoint, threads=options.threads, terms=options.terms)
     reporter.evaluation(result)
     if goal is None or goal.walked:
