@@ -21,7 +21,7 @@ pub use envs::{
     Slot, StageForm, TaskForm, TaskTables, Tiles, Told, Word, flags,
 };
 pub use heights::Heights;
-pub use nvrtc::{compile, search_packages};
+pub use nvrtc::{are_kernels_shipped, compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
 /// The text of the device without comments, file by file: its name and its contents. `step.cu`
