@@ -433,6 +433,12 @@ fn of_bodies_that_describe_themselves_joint_by_joint() {
     compare(with_error, 60, 30, "joints");
 }
 
+/// Scales the mass of a link of each robot, as a caller does.
+fn scale_mass(sim: &mut Sim, link: usize, factor: f32) {
+    let world = sim.world_mut();
+    world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[link] *= factor);
+}
+
 #[test]
 fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
     let mut options = SimOptions { seed: 5, threads: Some(1), ..SimOptions::new("velocity_flat_joints", 24) };
@@ -441,8 +447,7 @@ fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
     for t in 0..120 {
         for sim in [&mut cpu, &mut device] {
             if t == 20 {
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.5);
+                scale_mass(sim, 2, 1.5);
             }
             step(sim, t);
         }
@@ -521,12 +526,10 @@ fn of_changing_bodies_that_a_caller_changes_too() {
         for sim in [&mut cpu, &mut device] {
             if t == 20 {
                 // a number that a reset draws, and another one, which it takes back
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[0] *= 1.2);
+                scale_mass(sim, 0, 1.2);
             }
             if t == 40 {
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.2);
+                scale_mass(sim, 2, 1.2);
             }
             step(sim, t);
         }
