@@ -2,6 +2,8 @@
 //! the library is linked once; `cargo nextest run terrain::` runs a folder.
 
 mod common;
+#[path = "common/driven.rs"]
+mod driven;
 #[path = "common/passive.rs"]
 mod passive;
 #[path = "common/trees.rs"]

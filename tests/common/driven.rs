@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use polypod::SimOptions;
 use prost::Message;
 
-use super::{busy, noise};
+use crate::common::{busy, noise};
 
 /// Gains that the networks imitate, so that robots stand: N m/rad and N m s/rad.
 const GAINS: [f32; 2] = [30.0, 0.6];

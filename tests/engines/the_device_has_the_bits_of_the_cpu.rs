@@ -12,8 +12,8 @@ use polypod::{Error, Sim, SimOptions};
 use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Shape};
 use polypod_cuda_host::Host;
 
-use crate::common::driven::driven;
 use crate::common::{ROBOTS, assert_all_same, busy, ended, size, sprung, step, turning};
+use crate::driven::driven;
 
 /// A host that fails after some control steps of blocks. Every second block is back late: the first
 /// question after a start is answered with no.

@@ -17,8 +17,8 @@ use polypod::{Autoreset, Sim, SimOptions};
 use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Exchange, RowSizes, Shape, TaskTables, Told};
 use polypod_cuda_host::Host;
 
-use crate::common::driven::driven;
 use crate::common::{ROBOTS, busy, ended, size, step};
+use crate::driven::driven;
 
 fn on(mut options: SimOptions, open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Sim {
     options.overrides.push("physics.engine=cuda".into());

@@ -9,13 +9,13 @@
 typedef struct {
     int first, count; /* the first one among those of the network, and how many: each LANES after the other */
     int memory, all;  /* where the memory of the network's instructions begins; joints of the network */
+    float *features;  /* of the thread: those of the threads of a warp lie side by side */
 } Share;
 
 /* Joint k of a share, among those of the network. */
 #define NUMBER_OF(k) (of->first + (k) * LANES)
-/* A feature of the thread's joint k, and a number that the network remembers of it. The threads of a warp
- * have their features side by side. */
-#define FEATURE(i, k) (a->w[T(W_FEATURES) * TILE + (((i) * TOGETHER + (k)) * THREADS + a->lane) * TILE])
+/* A feature of joint k, and a number that the network remembers of it. */
+#define FEATURE(i, k) (of->features[((i) * TOGETHER + (k)) * WARP])
 #define REMEMBERED(i, k) S(of->memory + (i) * of->all + NUMBER_OF(k))
 #define EACH_JOINT(k) UNROLLED for (int k = 0; k < TOGETHER; k++)
 #define EACH_FEATURE(i, k) ROLLED for (int i = 0; i < len; i++) EACH_JOINT(k)
@@ -42,7 +42,7 @@ FN void load_weights(const Robot *a, int at, float *o) {
 }
 
 /* A layer: for OUTPUTS outputs at a time the bias, then the weights of each input. */
-FN void affine(Robot *a, int from, int inputs, int to, int len, int at) {
+FN void affine(const Robot *a, const Share *of, int from, int inputs, int to, int len, int at) {
     float sums[TOGETHER][OUTPUTS], weights[OUTPUTS];
     ROLLED for (int first = 0; first < len; first += OUTPUTS) {
         load_weights(a, at, weights);
@@ -77,7 +77,7 @@ FN void cell(Robot *a, const Share *of, int gates, int to, int len, int hidden, 
 }
 
 /* Copies features, or one to several places; ranges may overlap. */
-FN void copy_features(Robot *a, int from, int to, int len, int step) {
+FN void copy_features(const Share *of, int from, int to, int len, int step) {
     int back = from < to;
     ROLLED for (int n = 0; n < len; n++) {
         int i = back ? len - 1 - n : n;
@@ -102,11 +102,17 @@ FN void follow(Robot *a, const Share *of, int instruction) {
     return
     switch (L(instruction)) {
     case NETWORK_CONSTANT: EACH_FEATURE(i, k) FEATURE(to + i, k) = LC(at + i); return;
-    case NETWORK_COPY: copy_features(a, from, to, len, more); return;
-    case NETWORK_AFFINE: affine(a, from, more, to, len, at); return;
+    case NETWORK_COPY: copy_features(of, from, to, len, more); return;
+    case NETWORK_AFFINE: affine(a, of, from, more, to, len, at); return;
     case NETWORK_RELU: FUNCTION(x < 0.0f ? 0.0f : x);
-    case NETWORK_LEAKY_RELU: FUNCTION(x < 0.0f ? LC(at) * x : x);
-    case NETWORK_ELU: FUNCTION(x < 0.0f ? LC(at) * (exp_(x) - 1.0f) : x);
+    case NETWORK_LEAKY_RELU: {
+        float slope = LC(at);
+        FUNCTION(x < 0.0f ? slope * x : x);
+    }
+    case NETWORK_ELU: {
+        float scale = LC(at);
+        FUNCTION(x < 0.0f ? scale * (exp_(x) - 1.0f) : x);
+    }
     case NETWORK_TANH: FUNCTION(tanh_(x));
     case NETWORK_SIGMOID: FUNCTION(sigmoid(x));
     case NETWORK_SOFTSIGN: FUNCTION(x / (1.0f + fabsf(x)));
@@ -178,7 +184,8 @@ FN void drive_by_networks(Robot *a, int substep) {
     SYNC;
     ROLLED for (int n = 0; n < T(NETWORKS); n++) {
         int network = T(T_NETWORK) + n * NETWORK_SIZE, all = L(network), past = L(network + NET_PAST);
-        Share of = {a->lane, 0, T(S_MEMORY) + L(network + NET_MEMORY) + 2 * past * all, all};
+        int memory = T(S_MEMORY) + L(network + NET_MEMORY) + 2 * past * all;
+        Share of = {a->lane, 0, memory, all, a->w + (T(W_FEATURES) + a->lane) * TILE};
         ROLLED for (; of.first < all; of.first += TOGETHER * LANES) {
             int left = (all - of.first + LANES - 1) / LANES;
             of.count = left < TOGETHER ? left : TOGETHER;

@@ -245,8 +245,6 @@ enum Observation {
 #else
 #define TILE TILE_OF_HOST
 #endif
-/* threads of a robot that a tile has room for */
-#define THREADS (WARP / TILE)
 
 /* A robot of a block: its tables and its place in the columns. LANES threads step it together. All
  * make the same choices and hold the same numbers outside of memory. Where work on trees, links,
