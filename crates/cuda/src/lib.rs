@@ -11,6 +11,7 @@ mod kernels;
 mod layout;
 mod nvrtc;
 mod tables;
+pub mod update;
 
 pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
@@ -24,11 +25,12 @@ pub use heights::Heights;
 pub use nvrtc::{compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
-/// The text of the device without comments, file by file: its name and its contents. `step.cu`
-/// and `env.cu` include the others.
-pub const DEVICE_TEXT: [(&str, &str); 15] = [
+/// The text of the device without comments, file by file: its name and its contents. `step.cu`,
+/// `env.cu` and `learn.cu` include the others.
+pub const DEVICE_TEXT: [(&str, &str); 16] = [
     ("step.cu", include_str!(concat!(env!("OUT_DIR"), "/step.cu"))),
     ("env.cu", include_str!(concat!(env!("OUT_DIR"), "/env.cu"))),
+    ("learn.cu", include_str!(concat!(env!("OUT_DIR"), "/learn.cu"))),
     ("env.h", include_str!(concat!(env!("OUT_DIR"), "/env.h"))),
     ("block.h", include_str!(concat!(env!("OUT_DIR"), "/block.h"))),
     ("step.h", include_str!(concat!(env!("OUT_DIR"), "/step.h"))),
