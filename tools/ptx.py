@@ -25,6 +25,9 @@ FLAGS = ("--fmad=false", "--ftz=false", "--prec-div=true", "--prec-sqrt=true")
 """Flags of NVRTC that keep each operation as it is written; the defaults contract."""
 ENV_FLAGS = ("-DLANES=1", "-DTILE=8")
 """Flags of the program of envs, where four threads step a robot."""
+UPDATE = "learn.cu"
+"""The program of the native learner's update."""
+UPDATE_FLAGS = ("-DLANES=1",)
 ROUNDED = frozenset({"add", "sub", "mul", "div", "fma", "sqrt", "rcp"})
 """Operations that must say that they round to nearest."""
 INEXACT = frozenset({"mad", "rsqrt", "sin", "cos", "tanh", "ex2", "lg2"})
@@ -116,8 +119,11 @@ def operations(ptx: str) -> dict[str, int]:
     return found
 
 
-def inexact(ptx: str) -> list[str]:
-    """Instructions whose bits a CPU need not share, each with the reason."""
+def inexact(ptx: str, *, has_doubles: bool = False) -> list[str]:
+    """Instructions whose bits a CPU need not share, each with the reason.
+
+    `has_doubles`: the CPU computes in double precision too, as the learner does in sums.
+    """
     problems = []
     for name, count in sorted(operations(ptx).items()):
         operation, *suffixes = name.split(".")
@@ -129,7 +135,7 @@ def inexact(ptx: str) -> list[str]:
             problems.append(f"{name} ({count} times): flushes subnormal numbers to zero")
         elif operation in ROUNDED and "rn" not in suffixes:
             problems.append(f"{name} ({count} times): may be contracted")
-        elif "f64" in suffixes:
+        elif "f64" in suffixes and not has_doubles:
             problems.append(f"{name} ({count} times): in double precision, as no kernel is")
     # with a number that is no NaN, the instruction is what a comparison and a choice give
     choices = re.findall(r"^\s*(?:@!?%\w+\s+)?((?:min|max)\.f32)\s([^;]*);", ptx, re.MULTILINE)
@@ -149,10 +155,11 @@ def main() -> int:
         library = find_nvrtc()
         ptx = compile_text(library, options.arch)
         of_envs = compile_text(library, options.arch, (*FLAGS, *ENV_FLAGS), program="env.cu")
+        of_update = compile_text(library, options.arch, (*FLAGS, *UPDATE_FLAGS), program=UPDATE)
     except NvrtcError as error:
         print(error, file=sys.stderr)
         return 2
-    problems = inexact(ptx) + inexact(of_envs)
+    problems = inexact(ptx) + inexact(of_envs) + inexact(of_update, has_doubles=True)
     for problem in problems:
         print(f"crates/cuda/device: {problem}", file=sys.stderr)
     if problems:

@@ -9,7 +9,9 @@
 #include "numbers.h"
 
 /* threads of a block of each kernel */
+#ifndef THREADS
 #define THREADS 128
+#endif
 /* numbers of a line */
 #define LINE 16
 /* A block of a product has TILE rows and TILE columns, a thread 8 rows and 4 columns of it. DEPTH steps
@@ -24,14 +26,14 @@
 #define WAITING 8
 
 #ifdef __CUDACC__
-/* What the threads of a block do up to the next MEET. Numbers that a thread keeps beyond it have a
- * place OWN for each thread that a loop stands for. */
+#define FOUR __align__(16)
+/* What the threads of a block do up to the next MEET. A loop may stand for the threads: so numbers that a
+ * thread keeps beyond have a place MINE of OWN. host/src/update_threads.c defines these for coroutines. */
 #define EACH_THREAD for (int t = (int)threadIdx.x, once = 1; once; once = 0)
 #define OWN 1
 #define MINE 0
 #define SHARED __shared__ __align__(16)
 #define MEET __syncthreads()
-#define FOUR __align__(16)
 /* A kernel whose blocks each do `name_block`, and one whose blocks (x, y) have the y-th of two jobs. */
 #define BLOCKS(name, Job)                                                             \
     KERNEL void __launch_bounds__(THREADS) name(const Job job) { name##_block(&job, (int)blockIdx.x); }
@@ -42,10 +44,11 @@
         if ((int)blockIdx.x < job.blocks) name##_block(&job, (int)blockIdx.x);        \
     }
 #else
+#define FOUR __attribute__((aligned(16)))
+#ifndef MEET
 #define EACH_THREAD for (int t = 0; t < THREADS; t++)
 #define OWN THREADS
 #define MINE t
-#define FOUR __attribute__((aligned(16)))
 #define SHARED FOUR
 #define MEET
 #define BLOCKS(name, Job)                                                             \
@@ -55,6 +58,7 @@
         for (int y = 0; y < 2; y++)                                                   \
             for (int block = 0; block < jobs[y].blocks; block++) name##_block(jobs + y, block); \
     }
+#endif
 #endif
 
 /* four numbers that are loaded and stored at once */

@@ -2,6 +2,7 @@
 //! native learner on the CPU: losses, weights, Adam's moments, statistics and actions of whole
 //! trainings.
 
+use polypod::{Sim, SimOptions};
 use polypod_cuda::update::Update;
 use polypod_cuda_host::UpdateHost;
 use polypod_dynamics::lanes::Simd;
@@ -252,6 +253,48 @@ fn compare(name: &str, settings: &Settings, device: UpdateHost, iterations: u64)
 fn whole_trainings_have_the_bits_of_the_cpu() {
     for (name, settings) in cases() {
         assert_eq!(compare(name, &settings, UpdateHost::default(), 3), None, "{name}");
+    }
+}
+
+/// Trains in a simulation; returns the bits of all that is learnt.
+fn trained(options: &SimOptions, symmetry: Symmetry, device: Option<UpdateHost>) -> Vec<(String, Vec<u64>)> {
+    let mut sim = Sim::new(options).unwrap();
+    let of_learner = Options { symmetry, ..settings(&[1], 1, 1).options };
+    let mut learner = sim.learner(of_learner).unwrap();
+    if let Some(device) = device {
+        learner.use_device(Box::new(Update::new(device))).unwrap();
+    }
+    begin(&mut learner);
+    let mut losses = Losses { learning_rate: 1e-3, ..Losses::default() };
+    for iteration in 0..3 {
+        sim.collect(&mut learner, iteration, None).unwrap();
+        losses = sim.learn(&mut learner, losses.learning_rate).unwrap();
+    }
+    assert!(learner.take_device_failure().is_none());
+    bits(&learner, &losses, &[])
+}
+
+#[test]
+fn trainings_of_quadrupeds_and_of_a_humanoid_give_the_same_policy() {
+    for (task, robots, symmetry) in [
+        ("velocity_flat", vec![], Symmetry::Alternate),
+        ("velocity_flat_universal", vec!["unitree_a1", "unitree_h1"], Symmetry::Both),
+        ("velocity_flat_humanoid", vec!["unitree_g1"], Symmetry::None),
+    ] {
+        let robots: Vec<String> = robots.into_iter().map(String::from).collect();
+        let robots = (!robots.is_empty()).then_some(robots);
+        let options = SimOptions { robots, ..SimOptions::new(task, 56) };
+        let expected = trained(&options, symmetry, None);
+        assert!(trained(&options, symmetry, Some(UpdateHost::default())) == expected, "{task}");
+    }
+}
+
+#[test]
+fn threads_that_meet_where_they_must_have_the_bits_of_the_cpu() {
+    for (name, settings) in cases() {
+        if settings.num_envs < 60 {
+            assert_eq!(compare(name, &settings, UpdateHost::by_threads(), 1), None, "{name}");
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The update as a device computes it: its inputs, its steps, its results.
 //!
-//! A device keeps its own copies of samples and networks. Those of the learner stay as they are
+//! A device keeps its own copies of samples and networks. The learner's copies stay as they are
 //! until the update has ended, so that an update whose device fails is made again on the CPU.
 
 use std::ops::Range;
@@ -63,7 +63,8 @@ pub struct DeviceUpdate<'a> {
     pub networks: [DeviceNetwork<'a>; 2],
     /// The parts of the envs.
     pub parts: Vec<DevicePart<'a>>,
-    /// The samples of each part in each mini-batch, as places in its order, `[mini-batches][parts]`.
+    /// The samples of each part in each mini-batch, as places in its order,
+    /// `[mini-batches][parts]`.
     pub batches: Vec<Vec<Range<usize>>>,
     /// Number of sums over parts that are complete with each part.
     pub complete: &'a [usize],
@@ -93,7 +94,7 @@ pub struct DeviceNetwork<'a> {
     pub activation: Activation,
     /// Numbers that the network reads.
     pub inputs: usize,
-    /// Which numbers of an observation these are; None: all of them.
+    /// Columns of an observation that these are; None: all of them.
     pub columns: Option<&'a [usize]>,
     /// Mean of each input, and one over its deviation; None: they are read as they are.
     pub statistics: Option<[&'a [Line]; 2]>,
@@ -150,23 +151,23 @@ pub struct DeviceBatch {
     pub batch: usize,
     /// One over the number of rows: samples, and mirror images in addition to them.
     pub weight: f32,
-    /// One over the deviations of each robot's actions, 0 for actions that it lacks, `[robots][lines
-    /// of an action]`.
+    /// One over the deviations of each robot's actions, 0 for actions that it lacks,
+    /// `[robots][lines of an action]`.
     pub inverse: Vec<Line>,
-    /// Of each robot: the constant of the log-density, the divergence that deviations add, the mean
-    /// of the advantages, and one over their deviation.
+    /// Constant of the log-density, divergence that deviations add, mean of the advantages and one
+    /// over their deviation, `[robots]`.
     pub of_robots: Vec<[f32; 4]>,
-    /// Derivatives of the deviations that each part's sum begins with, `[parts][lines of an action]`.
+    /// Derivatives of the deviations that each part's sum begins with, `[parts][lines of an
+    /// action]`.
     pub start: Vec<Line>,
 }
 
 /// Sums over a mini-batch.
 #[derive(Debug)]
 pub struct DeviceSums {
-    /// Of each part: surrogate loss, value loss, divergence, and rows that are no mirror images.
+    /// Surrogate loss, value loss, divergence, and rows that are no mirror images, `[parts]`.
     pub parts: Vec<[f64; 4]>,
-    /// Squares of the actor's and the critic's gradients: of each chunk of lines, the sum in each
-    /// lane.
+    /// Sums of the squares of the actor's and the critic's gradients, `[chunks of lines][lanes]`.
     pub squares: [Vec<[f64; WIDTH]>; 2],
 }
 
@@ -176,11 +177,13 @@ impl Learner {
     /// # Errors
     /// Networks of joints, and several workers, whose update is on the CPU.
     pub fn use_device(&mut self, device: Box<dyn UpdateDevice>) -> Result<(), LearnerError> {
-        if self.actor.joints().is_some() || self.critic.joints().is_some() {
-            return Err(LearnerError::new("device", "a network of joints is learnt on the CPU"));
+        for (name, net) in [("actor", &self.actor), ("critic", &self.critic)] {
+            if net.joints().is_some() {
+                return Err(LearnerError::new(name, "a card learns perceptrons, and this is a network of joints"));
+            }
         }
         if !self.shares.is_alone() {
-            return Err(LearnerError::new("device", "several workers learn on the CPU"));
+            return Err(LearnerError::new("workers", "a card learns for one process, and there are several"));
         }
         self.device = Some(device);
         self.device_failure = None;

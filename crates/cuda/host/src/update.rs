@@ -5,17 +5,52 @@ use polypod_cuda::update::{
     Chains, Inputs, Launch, Machine, Plain, Product, Rows, Step, Surrogate, Total, Value, WeightGradient,
 };
 
-unsafe extern "C" {
-    fn polypod_learn_rows(job: *const Rows);
-    fn polypod_learn_inputs(jobs: *const [Inputs; 2]);
-    fn polypod_learn_product(jobs: *const [Product; 2]);
-    fn polypod_learn_surrogate(job: *const Surrogate);
-    fn polypod_learn_value(job: *const Value);
-    fn polypod_learn_chains(job: *const Chains);
-    fn polypod_learn_weights(jobs: *const [WeightGradient; 2]);
-    fn polypod_learn_total(jobs: *const [Total; 2]);
-    fn polypod_learn_step(jobs: *const [Step; 2]);
+/// Declares a function of each kernel, and [`run`] with them.
+macro_rules! kernels {
+    ($run:ident: $($name:ident($variant:ident, $job:ty)),*) => {
+        unsafe extern "C" {
+            $(fn $name(job: *const $job);)*
+        }
+
+        /// # Safety
+        /// The arrays have the sizes of the jobs.
+        unsafe fn $run(launch: &Launch) {
+            match launch {
+                // SAFETY: the caller's promise; the text keeps no pointer
+                $(Launch::$variant(job) => unsafe { $name(job) }),*
+            }
+        }
+    };
 }
+
+kernels!(run:
+    polypod_learn_rows(Rows, Rows),
+    polypod_learn_inputs(Inputs, [Inputs; 2]),
+    polypod_learn_product(Product, [Product; 2]),
+    polypod_learn_surrogate(Surrogate, Surrogate),
+    polypod_learn_value(Value, Value),
+    polypod_learn_chains(Chains, Chains),
+    polypod_learn_weights(WeightGradient, [WeightGradient; 2]),
+    polypod_learn_total(Total, [Total; 2]),
+    polypod_learn_step(Step, [Step; 2])
+);
+
+#[cfg(target_os = "linux")]
+kernels!(run_by_threads:
+    polypod_learn_rows_by_threads(Rows, Rows),
+    polypod_learn_inputs_by_threads(Inputs, [Inputs; 2]),
+    polypod_learn_product_by_threads(Product, [Product; 2]),
+    polypod_learn_surrogate_by_threads(Surrogate, Surrogate),
+    polypod_learn_value_by_threads(Value, Value),
+    polypod_learn_chains_by_threads(Chains, Chains),
+    polypod_learn_weights_by_threads(WeightGradient, [WeightGradient; 2]),
+    polypod_learn_total_by_threads(Total, [Total; 2]),
+    polypod_learn_step_by_threads(Step, [Step; 2])
+);
+
+/// Other machines have no coroutines.
+#[cfg(not(target_os = "linux"))]
+use run as run_by_threads;
 
 /// Aligned memory.
 #[derive(Clone, Copy)]
@@ -28,12 +63,19 @@ pub struct UpdateHost {
     room: Vec<Piece>,
     /// Launches that it makes before it is lost; None: it is never lost.
     left: Option<usize>,
+    by_threads: bool,
 }
 
 impl UpdateHost {
     /// A host that is lost after some launches.
     pub fn lost_after(launches: usize) -> Self {
         Self { left: Some(launches), ..Self::default() }
+    }
+
+    /// A host that runs the threads of a block as coroutines, which go on in random order from
+    /// where they met.
+    pub fn by_threads() -> Self {
+        Self { by_threads: true, ..Self::default() }
     }
 
     /// The memory of some bytes.
@@ -80,21 +122,8 @@ impl Machine for UpdateHost {
             Some(left) => *left -= 1,
             None => {}
         }
-        // SAFETY: the arrays have the sizes of the jobs, which bound every index of the text; it
-        // keeps no pointer
-        unsafe {
-            match launch {
-                Launch::Rows(job) => polypod_learn_rows(job),
-                Launch::Inputs(jobs) => polypod_learn_inputs(jobs),
-                Launch::Product(jobs) => polypod_learn_product(jobs),
-                Launch::Surrogate(job) => polypod_learn_surrogate(job),
-                Launch::Value(job) => polypod_learn_value(job),
-                Launch::Chains(job) => polypod_learn_chains(job),
-                Launch::WeightGradient(jobs) => polypod_learn_weights(jobs),
-                Launch::Total(jobs) => polypod_learn_total(jobs),
-                Launch::Step(jobs) => polypod_learn_step(jobs),
-            }
-        }
+        // SAFETY: the arrays have the sizes of the jobs, which bound every index of the text
+        unsafe { if self.by_threads { run_by_threads(launch) } else { run(launch) } };
         Ok(())
     }
 }

@@ -1,5 +1,5 @@
-//! Arguments of the kernels of `device/learn.cu`: the structures there, field by field. Pointers are
-//! addresses in the memory of the device.
+//! Arguments of the kernels of `device/learn.cu`: the structures there, field by field. Pointers
+//! are addresses in the memory of the device.
 
 use polypod_learner::{Line, WIDTH};
 

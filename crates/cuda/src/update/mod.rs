@@ -18,7 +18,7 @@ pub use card::UpdateCard;
 use jobs::{CHUNK, DEPTH, FIGURES, THREADS, TILE};
 pub use jobs::{Chains, Inputs, Launch, Part, Plain, Product, Rows, Step, Surrogate, Total, Value, WeightGradient};
 
-/// Bytes between two arrays begin at multiples of this.
+/// Arrays begin at multiples of this, bytes.
 const ALIGNMENT: u64 = 256;
 
 /// Memory and kernels of a device.
@@ -123,7 +123,7 @@ struct Places {
     values: u64,
     order: u64,
     robot_of: u64,
-    /// Of observations and of actions: index and sign.
+    /// Index and sign of the images of observations and of actions.
     mirrors: [[u64; 2]; 2],
     parts: u64,
     complete: u64,
@@ -136,7 +136,7 @@ struct Places {
     surrogate: u64,
     divergence: u64,
     value: u64,
-    /// Sums of the parts; the squares of both networks follow.
+    /// Figures of the parts; the squares of both networks follow.
     figures: u64,
 }
 
@@ -307,7 +307,7 @@ impl Plan {
             value: room.place::<f32>(rows),
             figures: 0,
         };
-        // what the host reads of a mini-batch lies together
+        // the host reads this part of a mini-batch at once
         let chunks: usize = self.networks.iter().map(Network::chunks).sum();
         self.at.figures = room.place::<f64>(self.parts * FIGURES + chunks * WIDTH);
         let mut squares = after::<f64>(self.at.figures, self.parts * FIGURES);
