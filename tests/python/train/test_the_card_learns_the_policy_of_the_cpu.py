@@ -36,7 +36,7 @@ def test_a_machine_without_a_card_learns_the_same_policy_and_says_so(tmp_path, c
     assert equal(on_cpu, without)
 
 
-def test_networks_of_joints_stay_on_the_cpu(make):
+def test_networks_of_joints_stay_on_the_cpu():
     class Refusing:
         """A learner whose networks no card learns."""
 
@@ -110,6 +110,8 @@ def test_it_goes_with_neither_bfloat16_nor_rsl_rl():
 @pytest.mark.cuda
 @pytest.mark.parametrize("symmetry", ["false", "true", '"alternate"'])
 def test_twenty_iterations_on_a_card_give_the_policy_of_the_cpu(symmetry, tmp_path, capsys):
+    if (described := _core.cuda()).startswith("not used: "):
+        pytest.skip(described)
     changes = [f"train.run.symmetry={symmetry}"]
     options = {"num_envs": 512, "max_iterations": 20}
     on_cpu = train(tmp_path / "cpu", "cpu", changes, **options)
