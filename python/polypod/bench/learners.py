@@ -87,10 +87,10 @@ def training(
         workers: those that have the other envs; None: there are none.
         arithmetic: of the native learner's update; with "native" a card computes it.
     """
-    loaded = config.load(options.train_config)
-    train_config = config.with_run(loaded, num_envs=options.num_envs, arithmetic=arithmetic)
+    train_config = config.load(options.train_config)
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
+    train_config = config.with_run(train_config, num_envs=options.num_envs, arithmetic=arithmetic)
     kind = torch.device(device).type
     train_config = train_config.with_learner_resolved(learner, kind).with_mixed_precision_resolved(kind)
     run = train_config.run
