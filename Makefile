@@ -111,6 +111,7 @@ endif
 
 wheel: $(VENV)/.extension ## Build the wheel: dist/*.whl
 	rm -rf dist
+	$(BIN)/python tools/ptx.py --package
 	$(BIN)/maturin build --release --locked --out dist
 
 # What `make demo WHEEL=...` installs, into the environment INTO.

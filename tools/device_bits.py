@@ -33,7 +33,7 @@ WARP = 32
 """Threads of a warp, which are a block of the kernel."""
 LISTED_SIZE = 4
 """Numbers of a listed contact: its number and its impulse."""
-SCENES = ("plane", "rough", "slope", "stand", "move")
+SCENES = ("plane", "rough", "slope", "nets", "stand", "move")
 Arrays = dict[str, np.ndarray]
 
 

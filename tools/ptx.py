@@ -4,11 +4,14 @@ Usage:
     tools/ptx.py                     compile for compute_80 to target/polypod_cuda.ptx
     tools/ptx.py --arch compute_90   for newer cards
     tools/ptx.py --out FILE          write it somewhere else
+    tools/ptx.py --package           write what a wheel ships to python/polypod/kernels
 
 NVRTC compiles it. torch's wheel for Linux brings NVRTC, which needs no GPU and no CUDA toolkit. The
 bits of a CPU are those of single IEEE 754 operations, each rounded to nearest. PTX without `.rn`
 may be contracted, `.ftz` flushes subnormal numbers to zero, and `.approx` is not correctly rounded:
 the command refuses PTX with any of them, with exit code 1. Needs the standard library alone.
+
+A wheel that is built without NVRTC ships no PTX: a card's first simulation compiles the text then.
 """
 
 import argparse
@@ -23,11 +26,10 @@ ROOT = Path(__file__).resolve().parents[1]
 DEVICE = ROOT / "crates" / "cuda" / "device"
 FLAGS = ("--fmad=false", "--ftz=false", "--prec-div=true", "--prec-sqrt=true")
 """Flags of NVRTC that keep each operation as it is written; the defaults contract."""
-ENV_FLAGS = ("-DLANES=1", "-DTILE=8")
-"""Flags of the program of envs, where four threads step a robot."""
+PACKAGE = ROOT / "python" / "polypod" / "kernels"
+"""Folder of the PTX that a wheel ships."""
 UPDATE = "learn.cu"
 """The program of the native learner's update."""
-UPDATE_FLAGS = ("-DLANES=1",)
 ROUNDED = frozenset({"add", "sub", "mul", "div", "fma", "sqrt", "rcp"})
 """Operations that must say that they round to nearest."""
 INEXACT = frozenset({"mad", "rsqrt", "sin", "cos", "tanh", "ex2", "lg2"})
@@ -43,10 +45,14 @@ class NvrtcError(Exception):
     """NVRTC is missing, or it refuses the text."""
 
 
+class MissingNvrtcError(NvrtcError):
+    """There is no NVRTC."""
+
+
 def find_nvrtc() -> Path:
     """The library of NVRTC that torch's wheel brings, or else the one of the system.
 
-    Raises :class:`NvrtcError` if there is none.
+    Raises :class:`MissingNvrtcError` if there is none.
     """
     spec = importlib.util.find_spec("nvidia")
     for folder in (spec.submodule_search_locations or []) if spec else []:
@@ -55,7 +61,7 @@ def find_nvrtc() -> Path:
             return found[-1]
     name = ctypes.util.find_library("nvrtc")
     if name is None:
-        raise NvrtcError("libnvrtc: not found; install torch for CUDA, whose wheel brings it")
+        raise MissingNvrtcError("libnvrtc: not found; install torch for CUDA, whose wheel brings it")
     return Path(name)
 
 
@@ -145,29 +151,85 @@ def inexact(ptx: str, *, has_doubles: bool = False) -> list[str]:
     return problems
 
 
+def text_hash() -> str:
+    """FNV-1a hash of all texts and their names, as `crates/cuda/build.rs` computes it."""
+    value = 0xCBF29CE484222325
+    for path in sorted(DEVICE.iterdir()):
+        for byte in path.name.encode() + path.read_bytes():
+            value = (value ^ byte) * 0x100000001B3 % 2**64
+    return f"{value:016x}"
+
+
+def programs() -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Files that a wheel ships: the program of each, and its flags besides `FLAGS`.
+
+    Their names say how many threads step a robot: those of few robots, or one. The update has 1.
+    """
+    few, warp = constant("THREADS_OF_FEW"), constant("WARP")
+    files = {}
+    for threads in (few, 1):
+        files[f"step-{threads}.ptx"] = ("step.cu", (f"-DLANES={threads}",))
+        files[f"env-{threads}.ptx"] = ("env.cu", ("-DLANES=1", f"-DTILE={warp // threads}"))
+    return {**files, "learn-1.ptx": (UPDATE, ("-DLANES=1",))}
+
+
+def write_package() -> list[str]:
+    """Writes the PTX that a wheel ships; returns what is wrong with it.
+
+    Raises :class:`NvrtcError` if NVRTC is missing or refuses the text. Older files are gone then.
+    """
+    PACKAGE.mkdir(exist_ok=True)
+    for old in PACKAGE.glob("*.ptx"):
+        old.unlink()
+    library = find_nvrtc()
+    problems = []
+    for name, (program, flags) in programs().items():
+        ptx = compile_text(library, flags=(*FLAGS, *flags), program=program)
+        problems += inexact(ptx, has_doubles=program == UPDATE)
+        (PACKAGE / name).write_text(f"// {text_hash()}\n{ptx}// end\n", encoding="utf-8", newline="\n")
+        print(f"{PACKAGE / name}: {len(ptx)} bytes")
+    return problems
+
+
+def write_step(arch: str, out: Path) -> list[str]:
+    """Writes the PTX of the physics step for an architecture; returns what is wrong with all PTX.
+
+    Raises :class:`NvrtcError` if NVRTC is missing or refuses the text.
+    """
+    library = find_nvrtc()
+    made = [
+        (program, compile_text(library, arch, (*FLAGS, *flags), program=program))
+        for program, flags in programs().values()
+    ]
+    problems = [problem for program, ptx in made for problem in inexact(ptx, has_doubles=program == UPDATE)]
+    (_, step), *_ = made
+    if not problems:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(step, encoding="utf-8")
+        print(f"{out}: {len(step)} bytes for {arch}")
+    return problems
+
+
 def main() -> int:
     """Compiles, reads and writes the PTX."""
     parser = argparse.ArgumentParser(description="Compile the text of the device to PTX.")
     parser.add_argument("--arch", default="compute_80", help="virtual architecture, e.g. compute_90")
     parser.add_argument("--out", type=Path, default=ROOT / "target" / "polypod_cuda.ptx")
+    parser.add_argument("--package", action="store_true", help="write the PTX that a wheel ships")
     options = parser.parse_args()
     try:
-        library = find_nvrtc()
-        ptx = compile_text(library, options.arch)
-        of_envs = compile_text(library, options.arch, (*FLAGS, *ENV_FLAGS), program="env.cu")
-        of_update = compile_text(library, options.arch, (*FLAGS, *UPDATE_FLAGS), program=UPDATE)
+        problems = write_package() if options.package else write_step(options.arch, options.out)
+    except MissingNvrtcError as error:
+        print(error, file=sys.stderr)
+        if options.package:
+            print("The wheel ships no kernels: a card's first simulation compiles them.", file=sys.stderr)
+        return 0 if options.package else 2
     except NvrtcError as error:
         print(error, file=sys.stderr)
         return 2
-    problems = inexact(ptx) + inexact(of_envs) + inexact(of_update, has_doubles=True)
     for problem in problems:
         print(f"crates/cuda/device: {problem}", file=sys.stderr)
-    if problems:
-        return 1
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(ptx, encoding="utf-8")
-    print(f"{options.out}: {len(ptx)} bytes for {options.arch}")
-    return 0
+    return 1 if problems else 0
 
 
 if __name__ == "__main__":

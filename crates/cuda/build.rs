@@ -46,19 +46,28 @@ fn constants(header: &str) -> Option<String> {
     Some(out)
 }
 
+/// FNV-1a hash of all texts and their names, as `tools/ptx.py` computes it: kernels that a package
+/// ships are taken where they were made of the same text.
+fn hash(texts: &BTreeMap<String, Vec<u8>>) -> u64 {
+    let bytes = texts.iter().flat_map(|(name, text)| name.bytes().chain(text.iter().copied()));
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed=device");
     let header = fs::read_to_string("device/tables.h").unwrap_or_default();
     let out = env::var("OUT_DIR").unwrap_or_default();
     let written = constants(&header).map(|text| fs::write(Path::new(&out).join("layout.rs"), text));
-    let texts = fs::read_dir("device").into_iter().flatten().flatten();
-    let shipped = texts.map(|file| {
+    let files = fs::read_dir("device").into_iter().flatten().flatten();
+    let read = files.map(|file| {
         let text = fs::read_to_string(file.path())?;
-        fs::write(Path::new(&out).join(file.file_name()), without_comments(&text))
+        fs::write(Path::new(&out).join(file.file_name()), without_comments(&text))?;
+        Ok((file.file_name().to_string_lossy().into_owned(), text.into_bytes()))
     });
-    if let Err(error) = shipped.collect::<Result<Vec<()>, _>>() {
-        println!("cargo::error=device: {error}");
+    match read.collect::<std::io::Result<BTreeMap<_, _>>>() {
+        Ok(texts) => println!("cargo::rustc-env=POLYPOD_DEVICE_TEXT={:016x}", hash(&texts)),
+        Err(error) => println!("cargo::error=device: {error}"),
     }
     if !matches!(written, Some(Ok(()))) {
         println!("cargo::error=device/tables.h: an enumerator is no sum of numbers and earlier names");

@@ -1,5 +1,6 @@
 //! Helpers that several promises share: an eventful task, reproducible actions, and envs as bits.
 
+pub mod driven;
 pub mod facts;
 
 use std::ops::Range;

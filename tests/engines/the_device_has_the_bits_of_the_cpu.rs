@@ -12,6 +12,7 @@ use polypod::{Error, Sim, SimOptions};
 use polypod_cuda::{Device, DeviceBlock, DeviceError, Exchange, Shape};
 use polypod_cuda_host::Host;
 
+use crate::common::driven::driven;
 use crate::common::{ROBOTS, assert_all_same, busy, ended, size, sprung, step, turning};
 
 /// A host that fails after some control steps of blocks. Every second block is back late: the first
@@ -129,6 +130,15 @@ fn with_delays_springs_and_surfaces() {
 }
 
 #[test]
+fn with_networks_that_drive_joints() {
+    let mut options = driven(70);
+    options.threads = Some(2);
+    let more = ["events.action_delay.enabled=true", "events.action_delay.delay_range=[0, 6]"];
+    options.overrides.extend(more.map(String::from));
+    compare(options, size(150, 400), 70, "networks");
+}
+
+#[test]
 fn on_rough_ground_and_with_other_bodies() {
     let options = |task: &str, envs: usize| SimOptions {
         seed: 3,
@@ -197,7 +207,12 @@ fn with_forces_on_links_and_parameters_that_a_caller_sets() {
 
 #[test]
 fn a_snapshot_of_one_side_goes_on_on_the_other() {
-    let options = busy(&["unitree_a1", "spot"], 36);
+    goes_on(busy(&["unitree_a1", "spot"], 36));
+    // with what networks remember
+    goes_on(driven(36));
+}
+
+fn goes_on(options: SimOptions) {
     let (mut cpu, mut host) = (Sim::new(&options).unwrap(), on_host(options.clone()));
     for t in 0..25 {
         step(&mut cpu, t);

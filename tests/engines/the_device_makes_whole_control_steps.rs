@@ -17,6 +17,7 @@ use polypod::{Autoreset, Sim, SimOptions};
 use polypod_cuda::{Device, DeviceBlock, DeviceError, EnvBlock, EnvHost, Exchange, RowSizes, Shape, TaskTables, Told};
 use polypod_cuda_host::Host;
 
+use crate::common::driven::driven;
 use crate::common::{ROBOTS, busy, ended, size, step};
 
 fn on(mut options: SimOptions, open: impl Fn() -> Result<Arc<dyn Device>, DeviceError> + Send + Sync + 'static) -> Sim {
@@ -306,6 +307,44 @@ fn of_all_robots_of_the_legged_task() {
     compare(options, size(100, 400), 60, "legged");
 }
 
+#[test]
+fn of_robots_whose_joints_networks_drive() {
+    let mut options = driven(70);
+    options.threads = Some(2);
+    options.overrides.extend(BODIES.map(String::from));
+    // networks have no gains, whatever is added at resets
+    options.overrides.push(
+        "events.randomize_actuator_gains={mode=\"reset\", enabled=true, operation=\"add\", \
+         stiffness_distribution_params=[5.0, 9.0], damping_distribution_params=[0.1, 0.2]}"
+            .into(),
+    );
+    let delays = ["events.action_delay.enabled=true", "events.action_delay.delay_range=[0, 6]"];
+    options.overrides.extend(delays.map(String::from));
+    compare(options, size(200, 600), 100, "networks");
+}
+
+#[test]
+fn with_networks_between_both_sides() {
+    let options = driven(36);
+    let (mut cpu, mut device) = (Sim::new(&options).unwrap(), on_host(options.clone()));
+    for t in 0..25 {
+        step(&mut cpu, t);
+        step(&mut device, t);
+    }
+    assert_eq!(device.steps_on_device(), 23);
+    let (from_cpu, from_device) = (cpu.snapshot().unwrap(), device.snapshot().unwrap());
+    let (mut new_cpu, (host, mut new_device, _)) = (Sim::new(&options).unwrap(), flowing(options));
+    new_cpu.restore(&from_device).unwrap();
+    new_device.restore(&from_cpu).unwrap();
+    for t in 25..60 {
+        step(&mut cpu, t);
+        step(&mut new_cpu, t);
+        flow(&host, &mut new_device, &cpu.batch().actions.clone());
+    }
+    let expected = cpu.snapshot().unwrap();
+    assert!(expected == new_cpu.snapshot().unwrap() && expected == new_device.snapshot().unwrap());
+}
+
 /// A task on generated terrain, with pushes so strong that robots leave their tiles.
 fn rough(task: &str, num_envs: usize) -> SimOptions {
     let mut options = SimOptions { seed: 11, threads: Some(2), ..SimOptions::new(task, num_envs) };
@@ -394,6 +433,12 @@ fn of_bodies_that_describe_themselves_joint_by_joint() {
     compare(with_error, 60, 30, "joints");
 }
 
+/// Scales the mass of a link of each robot, as a caller does.
+fn scale_mass(sim: &mut Sim, link: usize, factor: f32) {
+    let world = sim.world_mut();
+    world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[link] *= factor);
+}
+
 #[test]
 fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
     let mut options = SimOptions { seed: 5, threads: Some(1), ..SimOptions::new("velocity_flat_joints", 24) };
@@ -402,8 +447,7 @@ fn of_bodies_that_a_caller_changes_in_the_middle_of_episodes() {
     for t in 0..120 {
         for sim in [&mut cpu, &mut device] {
             if t == 20 {
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.5);
+                scale_mass(sim, 2, 1.5);
             }
             step(sim, t);
         }
@@ -482,12 +526,10 @@ fn of_changing_bodies_that_a_caller_changes_too() {
         for sim in [&mut cpu, &mut device] {
             if t == 20 {
                 // a number that a reset draws, and another one, which it takes back
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[0] *= 1.2);
+                scale_mass(sim, 0, 1.2);
             }
             if t == 40 {
-                let world = sim.world_mut();
-                world.query::<&mut Body>().iter_mut(world).for_each(|mut body| body.0.mass[2] *= 1.2);
+                scale_mass(sim, 2, 1.2);
             }
             step(sim, t);
         }
@@ -762,17 +804,25 @@ fn only_where_all_that_a_task_uses_has_a_form_there() {
 
 #[test]
 fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
+    dumped("bodies", busy(&["unitree_a1", "spot"], 40), 0.9, 2);
+    // with what networks remember
+    dumped("networks", driven(40), 2.0, 4);
+}
+
+/// Both dump the first state of each morphology that is faster than allowed, after pushes of at
+/// most that speed, m/s.
+fn dumped(what: &str, mut options: SimOptions, push: f32, morphologies: usize) {
     let dir = |side: &str| {
-        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("whole_{side}_{}", std::process::id()));
+        let name = format!("whole_{what}_{side}_{}", std::process::id());
+        let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = fs::remove_dir_all(&dir);
         dir
     };
     let (on_cpu, on_device) = (dir("cpu"), dir("device"));
-    let mut options = busy(&["unitree_a1", "spot"], 40);
     options.overrides.extend(BODIES.map(String::from));
     // a speed that robots reach
-    let limits = ["terminations.illegal_state.max_lin_vel=1.2", "events.push_robot.velocity_range=[-0.9, 0.9]"];
-    options.overrides.extend(limits.map(String::from));
+    options.overrides.push("terminations.illegal_state.max_lin_vel=1.2".into());
+    options.overrides.push(format!("events.push_robot.velocity_range=[-{push:?}, {push:?}]"));
     let (of_cpu, of_flow) = (options.clone(), options.clone());
     let mut cpu = Sim::new(&SimOptions { dump_dir: Some(on_cpu.clone()), ..options.clone() }).unwrap();
     let mut device = on_host(SimOptions { dump_dir: Some(on_device.clone()), ..options });
@@ -788,7 +838,7 @@ fn a_state_that_breaks_there_is_dumped_as_on_the_cpu() {
         files.iter().map(|file| (file.file_name().unwrap().to_owned(), state(file))).collect::<Vec<_>>()
     };
     let (expected, found) = (states(&on_cpu), states(&on_device));
-    assert_eq!(expected.len(), 2);
+    assert_eq!(expected.len(), morphologies);
     assert_eq!(expected, found);
     assert_eq!(device.steps_on_device(), 38);
     // and where the steps flow, though the host reads of them later

@@ -39,7 +39,7 @@ fn the_kernels_are_code_alone() {
         ("polypod-lanes", "native.rs"),
         ("polypod-dynamics", "kernels.rs"),
         ("polypod-learner", "matrix.rs"),
-        ("polypod-cuda", "driver.rs"),
+        ("polypod-cuda", "driver/mod.rs"),
     ] {
         let files = packed(package);
         assert!(files.contains(&format!("src/{needed}")), "{package}: {files:?}");

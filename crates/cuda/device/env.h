@@ -970,6 +970,18 @@ FN void draw_lists(Env *v, int form) {
         }
     }
 }
+/* Networks have no gains, whatever was drawn. */
+FN void take_gains_off(Env *v) {
+    const Robot *a = v->a;
+    int stiffness = K(X_BODY) + BODY_JOINTS + LIST_STIFFNESS * T(JOINTS), damping = stiffness + T(JOINTS);
+    ROLLED for (int n = 0; n < T(NETWORKS); n++) {
+        int network = T(T_NETWORK) + n * NETWORK_SIZE;
+        ROLLED for (int k = 0; k < L(network); k++) {
+            int joint = L(L(network + NET_JOINT) + k);
+            X(stiffness + joint) = X(damping + joint) = 0.0f;
+        }
+    }
+}
 FN void scale_motors(Env *v, int at) {
     const Robot *a = v->a;
     int joints = T(JOINTS), lists = K(X_BODY) + BODY_JOINTS;
@@ -990,7 +1002,9 @@ FN void change_body(Env *v, int form) {
         for (int d = 0; d < 3; d++) X(com + d) = X(com + d) + uniform(v, at + 2 * d);
         return;
     case BODY_EVENT_RANDOMIZE_MOTOR_STRENGTH: scale_motors(v, at); return;
-    default: draw_lists(v, form);
+    default:
+        draw_lists(v, form);
+        if (K(form) == BODY_EVENT_RANDOMIZE_ACTUATOR_GAINS) take_gains_off(v);
     }
 }
 FN int size_of_body(const Env *v) {
@@ -1190,7 +1204,7 @@ FN float missing_on_grid(const Env *v, const float *r) {
 FN void place_robot(Env *v) {
     Robot *a = v->a;
     float r[9], base[6];
-    ROLLED for (int k = 0; k < T(S_PRESSING); k++) S(k) = a->row[k];
+    ROLLED for (int k = 0; k < T(S_MEMORY); k++) S(k) = a->row[k];
     quat_to_mat(&STATE(S_ROTATION, 0), r);
     copy(base, &STATE(S_ANGULAR, 0), 3);
     mul_vec_transposed(r, &STATE(S_LINEAR, 0), base + 3);
@@ -1203,7 +1217,7 @@ FN void place_robot(Env *v) {
 }
 FN void clear_report(const Robot *a) {
     ROLLED for (int k = T(R_EFFORT); k < T(R_SITE_POSITION); k++) a->r[k] = 0.0f;
-    ROLLED for (int j = 0; j < T(JOINTS); j++) STATE(S_BOUND, j) = 0.0f;
+    ROLLED for (int k = T(S_BOUND); k < T(S_PRESSING); k++) a->row[k] = 0.0f;
     STATE(S_PRESSING, 0) = 0.0f;
 }
 FN void reset(Env *v) {

@@ -14,6 +14,8 @@
 #define ROLLED _Pragma("unroll 1")
 /* of loops over the joints of a block, whose numbers are in registers */
 #define UNROLLED _Pragma("unroll")
+/* of loops over the inputs of a layer, whose sums are in registers */
+#define BY_TWO _Pragma("unroll 2")
 /* of loops over joints that wait for memory */
 #define BY_THREE _Pragma("unroll 3")
 /* of loops that wait for memory and do little else */
@@ -38,6 +40,7 @@
 #define FN static inline
 #define ROLLED
 #define UNROLLED
+#define BY_TWO
 #define BY_THREE
 #define BY_EIGHT
 #define READ(at) (*(at))

@@ -2,6 +2,7 @@
 #ifndef POLYPOD_STEP_H
 #define POLYPOD_STEP_H
 #include "kinematics.h"
+#include "networks.h"
 #include "pairs.h"
 #include "solver.h"
 
@@ -40,7 +41,8 @@ FN void actuate(Robot *a) {
         float q = S(T(S_JOINT) + j), v = S(T(S_JOINT_VELOCITY) + j);
         float kp = P(P_STIFFNESS, j), kd = P(P_DAMPING, j), ahead = explicit_gains ? 0.0f : look_ahead;
         float spring = fma_(kp, nfma(v, ahead, W(T(W_TARGET) + j) - q), -(kd * v));
-        float wanted = spring + D(T(D_FEEDFORWARD) + j), limit = P(P_EFFORT_LIMIT, j);
+        float driven = T(NETWORKS) ? W(T(W_DRIVEN) + j) : D(T(D_FEEDFORWARD) + j);
+        float wanted = spring + driven, limit = P(P_EFFORT_LIMIT, j);
         if (table) limit = limit * table_limit(C(table), L(joint + 5), q);
         float stall = P(P_SATURATION_EFFORT, j), speed = v / P(P_MOTOR_VELOCITY_LIMIT, j);
         float most = clamp_(stall * (1.0f - speed), 0.0f, limit);
@@ -140,6 +142,7 @@ FN void find_free_velocity(Robot *a, const float *gravity, float *free_base) {
     }
     factorise_base(a);
     d_load(a, T(D_FORCE), 3, force);
+    if (T(NETWORKS)) force[0] = force[0] + W(T(W_UNBOUNDED));
     d_load(a, T(D_TORQUE), 3, torque);
     p_load(a, P_COM, 0, 3, com);
     cross(com, force, t);
@@ -371,6 +374,7 @@ FN void control_step(Robot *a, int first, int end, int capacity) {
     SYNC;
     ROLLED for (int substep = first; substep < end; substep++) {
         select_targets(a, substep);
+        if (T(NETWORKS)) drive_by_networks(a, substep);
         physics_step(a, substep);
     }
     SHARED_OUT(k, T(S_PRESSING)) a->row[k] = S(k);

@@ -13,12 +13,13 @@ enum Integer {
     FLOATING, JOINTS, BLOCKS, CONTACTS, ROWS, SPINS, BODIES, SITES, TREES, STRIDE, FRICTION, HAS_SURFACES,
     HAS_SPRINGS, HAS_DELAY, AGES, PAIRS, GROUPS, COLLIDERS, DECIMATION, ITERATIONS, MEASURES, CHECK_INTERVAL,
     MAX_EXTRA_ROUNDS, SWEEPS_PER_ROUND, LIMIT_SWEEPS, PUSH_SWEEPS, HAS_GROUND, LINK_FORCES,
+    NETWORKS,
     /* the height grid: whether there is one, points along x and y; of links' and of candidates' squares
      * the points along an edge, numbers along x and y, and where their heights begin */
     HAS_GRID, GRID_SIZE, GRID_SQUARES = GRID_SIZE + 2, GRID_END = GRID_SQUARES + 7,
     /* lists of integers */
     T_JOINT, T_BLOCK, T_CARRIER, T_TREE, T_PATH, T_CONTACT, T_LINK_CONTACTS, T_SITE, T_COLLIDER,
-    T_LINK_COLLIDERS, T_PAIR, T_GROUP, T_FORCE,
+    T_LINK_COLLIDERS, T_PAIR, T_GROUP, T_FORCE, T_NETWORK,
     /* lists in the table of numbers */
     C_AXIS, C_RIM, C_BOX,
     /* columns of parameters */
@@ -28,14 +29,17 @@ enum Integer {
     P_COLLIDER_CENTRE, P_COLLIDER_HALF, P_COLLIDER_RADIUS, P_SITE_POSITION, P_STATIC_FRICTION,
     P_DYNAMIC_FRICTION, P_RESTITUTION, P_TORSIONAL_FRICTION, P_ROLLING_FRICTION,
     /* columns of the state, the drive and the report */
-    /* the last column of the state is a list: its length, then LISTED_SIZE numbers of each contact */
-    S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_BOUND, S_PRESSING,
+    /* the last column of the state is a list: its length, then LISTED_SIZE numbers of each contact. What
+     * networks remember comes before it: of each one [number][joint] of past errors, velocities, its own */
+    S_POSITION, S_ROTATION, S_LINEAR, S_ANGULAR, S_JOINT, S_JOINT_VELOCITY, S_BOUND, S_MEMORY, S_PRESSING,
     D_TARGET, D_DELAY, D_FEEDFORWARD, D_FORCE, D_TORQUE, D_ORIGIN, D_LINK_FORCE,
     R_EFFORT, R_ACCELERATION, R_BODY_FORCE, R_NORMAL_FORCE, R_SITE_POSITION, R_SITE_VELOCITY,
     /* columns of the workspace */
     W_LINK, W_DYNAMICS, W_BIAS, W_FACTOR, W_COUPLING, W_ROOT, W_RHS, W_EFFORT, W_SLOPE, W_TARGET, W_JOINTS, W_MOVED,
     W_ROW, W_FURTHER, W_SPIN, W_SPIN_FURTHER, W_BOUND, W_BOUND_FURTHER, W_COLLIDER, W_LINK_BOX,
     W_PRESSING, W_DEMANDS, W_STATE, W_TREE, W_GROUND, W_FOUND,
+    /* efforts in addition to those of gains, and 0 or NaN; features of networks: [feature][joint][thread] */
+    W_DRIVEN, W_UNBOUNDED, W_FEATURES,
     /* columns of integers of the workspace */
     I_ROW, I_BOUND, I_PLACED, I_PRESSING, I_TOUCHED, I_NEXT, I_NEXT_PAIR,
     NUM_INTEGERS
@@ -73,6 +77,17 @@ enum Size {
                        * joint on the path which of the two it carries: first 2, second 0, both 1 */
     GROUP_SIZE = 4,   /* links (2), first pair, pairs */
     LINK_FORCE_SIZE = 10,
+    TOGETHER = 3,     /* joints of a network that a thread computes together */
+    OUTPUTS = 8,      /* outputs of a layer that it computes together: as many of their weights are neighbours */
+    /* a network: joints and their list; physics steps that it looks back; where its memory begins; its inputs,
+     * each with whether it is a velocity and its age; its instructions; the feature that is its output; where
+     * its scale and those of the inputs are in the table of numbers */
+    NET_JOINT = 1, NET_PAST, NET_MEMORY, NET_INPUTS, NET_INPUT, NET_INSTRUCTIONS, NET_INSTRUCTION, NET_OUTPUT,
+    NET_NUMBERS, NETWORK_SIZE, NET_INPUT_SIZE = 2,
+    /* an instruction: what it does, first feature that it reads, first one that it writes, how many; then, as
+     * it needs them, inputs of a layer, the step between features that are copied, or a place in the memory;
+     * the second argument, or the place of an LSTM's cell; where its numbers are */
+    INSTRUCTION_SIZE = 7,
     LINK_SIZE = 30, LINK_POSITION = 9, LINK_VELOCITY = 12, LINK_FREE = 18, LINK_AXIS = 24,
     DYNAMICS_SIZE = 22, DYNAMICS_INERTIA = 6, DYNAMICS_FORCE = 16,
     TREE_SIZE = 16,   /* inertia and force that a tree brings to the base */
@@ -91,6 +106,13 @@ enum Size {
     GROUND_SIZE = 5, GROUND_UP = 1, GROUND_HIGHEST = 4, /* of a link near the ground: its height first */
     /* a contact that was found: its point, normal and gap, the axes of its frame */
     FOUND_POINT = 0, FOUND_NORMAL = 3, FOUND_GAP = 6, FOUND_FRAME = 7, FOUND_SIZE = 16
+};
+
+/* Instructions of a network. */
+enum NetworkInstruction {
+    NETWORK_CONSTANT, NETWORK_COPY, NETWORK_AFFINE, NETWORK_RELU, NETWORK_LEAKY_RELU, NETWORK_ELU, NETWORK_TANH,
+    NETWORK_SIGMOID, NETWORK_SOFTSIGN, NETWORK_ABS, NETWORK_NEG, NETWORK_ADD, NETWORK_SUB, NETWORK_MUL, NETWORK_DIV,
+    NETWORK_RECALL, NETWORK_CELL
 };
 
 /* A task, for the robots of a block: integers at the beginning of its table of integers, then where lists
@@ -223,6 +245,8 @@ enum Observation {
 #else
 #define TILE TILE_OF_HOST
 #endif
+/* threads of a robot that a tile has room for */
+#define THREADS (WARP / TILE)
 
 /* A robot of a block: its tables and its place in the columns. LANES threads step it together. All
  * make the same choices and hold the same numbers outside of memory. Where work on trees, links,
@@ -250,18 +274,20 @@ typedef struct {
     int num_contacts, num_spins;
 } Robot;
 
-/* T and TC: a size or a setting, L and C: an entry of the tables' lists. With the tables of one
+/* T and TC: a size or a setting, L and LC: an entry of the tables' lists, C: where one is. With the tables of one
  * morphology in front of the text, all sizes are constants, and absent features take no code. */
 #ifdef POLYPOD_TABLES
 #include "morphology.h"
 #define T(k) INTEGER_##k
 #define TC(k) NUMBER_##k
 #define L(k) INTEGERS[k]
+#define LC(k) NUMBERS[k]
 #define C(k) (NUMBERS + (k))
 #else
 #define T(k) READ(a->t + (k))
 #define TC(k) READ(a->c + (k))
 #define L(k) READ(a->t + (k))
+#define LC(k) READ(a->c + (k))
 #define C(k) (a->c + (k))
 #endif
 #define IS_OWN(name) (a->own >> ((name) - P_OFFSET) & 1)

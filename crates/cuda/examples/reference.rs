@@ -15,12 +15,13 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 
 use polypod::dynamics::{
-    ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, Parameters, Report, State,
-    StepSettings, Terrain, Workspace,
+    ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkStep,
+    Parameters, Report, State, StepSettings, Terrain, Workspace,
 };
 use polypod_cuda::{Block, Heights, Parts, Scene};
 use scenes::{
-    Random, Robot, library, random_state, randomise_drive, reference_robots, rough_ground, with_springs_on_a_slope,
+    Random, Robot, library, random_state, randomise_drive, reference_robots, rough_ground, with_networks,
+    with_springs_on_a_slope,
 };
 
 /// Robots of a block: two warps.
@@ -89,10 +90,10 @@ impl Run<'_> {
         mut next_drive: impl FnMut(usize, &mut Drive<f32>),
         random: &mut Random,
     ) -> io::Result<()> {
-        let Robot { topology, nominal, .. } = self.robot;
+        let Robot { topology, nominal, networks, .. } = self.robot;
         let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact: self.contact };
         let heights = self.terrain.map(Heights::new);
-        let scene = Scene { terrain: heights.as_ref(), ages: 2, link_forces: self.link_forces, ..Scene::default() };
+        let scene = Scene { terrain: heights.as_ref(), networks, ages: 2, link_forces: self.link_forces };
         let mut block = Block::new(topology, &settings, &scene, ENVS).map_err(io::Error::other)?;
         block.share_parameters(nominal);
         let mut parameters: Vec<Parameters<f32>> = vec![nominal.clone(); ENVS];
@@ -108,6 +109,8 @@ impl Run<'_> {
         let mut reports = vec![Report::zeros(topology, settings.decimation); ENVS];
         let empty = block.clone();
         let mut work = vec![Workspace::new(topology); ENVS];
+        let mut memories = vec![vec![0.0; ActuatorNetwork::num_remembered_by(networks)]; ENVS];
+        let mut features = Vec::new();
         states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
         let capacity = block.shape().capacity;
         let Parts {
@@ -132,23 +135,43 @@ impl Run<'_> {
                 arrays.floats(&format!("drive.{}", step / STEPS_OF_DRIVE), block.parts().drive)?;
             }
             for env in 0..ENVS {
-                ControlStep {
-                    topology,
-                    settings: &settings,
-                    terrain: self.terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
-                    parameters: &parameters[env],
-                    nominal: None,
-                    drive: &drives[env],
-                    substeps: 0..settings.decimation,
-                    state: &mut states[env],
-                    report: &mut reports[env],
-                    work: &mut work[env],
+                // networks add to the drive of a control step
+                let mut drive = drives[env].clone();
+                let at_once = if networks.is_empty() { settings.decimation } else { 1 };
+                for substep in (0..settings.decimation).step_by(at_once) {
+                    if !networks.is_empty() {
+                        NetworkStep {
+                            topology,
+                            settings: &settings,
+                            networks,
+                            substep,
+                            state: &states[env],
+                            drive: &mut drive,
+                            memory: &mut memories[env],
+                            features: &mut features,
+                            work: &mut work[env],
+                        }
+                        .run();
+                    }
+                    ControlStep {
+                        topology,
+                        settings: &settings,
+                        terrain: self.terrain.map(|grid| Terrain { grid, origin: &origins[env] }),
+                        parameters: &parameters[env],
+                        nominal: None,
+                        drive: &drive,
+                        substeps: substep..substep + at_once,
+                        state: &mut states[env],
+                        report: &mut reports[env],
+                        work: &mut work[env],
+                    }
+                    .run();
                 }
-                .run();
             }
             let mut expected = empty.clone();
             for (env, state) in states.iter().enumerate() {
                 expected.write_state(env, state);
+                expected.write_memory(env, &memories[env]);
                 expected.write_report(env, &reports[env]);
             }
             let Parts { state, report, .. } = expected.parts();
@@ -204,6 +227,13 @@ fn main() -> io::Result<()> {
             separate: 0,
         }
         .write_fall(&mut arrays)?;
+    }
+    for (index, mut robot) in library(true).into_iter().enumerate() {
+        robot.topology.has_delay = true;
+        with_networks(&mut robot, &mut Random(index as u64));
+        arrays.prefix = format!("nets/{}", robot.name);
+        Run { robot: &robot, contact, terrain: None, link_forces: &[], steps: 20, separate: 4 }
+            .write_fall(&mut arrays)?;
     }
     for standing in reference_robots() {
         let robot = &standing.robot;

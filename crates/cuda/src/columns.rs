@@ -48,7 +48,7 @@ impl Shape {
     /// The same shape with tiles of another size.
     #[must_use]
     pub fn with_tile(self, tile: usize) -> Self {
-        Self { tile, ..self }
+        Self { tables: self.tables.with_tile(self.tile, tile), tile, ..self }
     }
 
     /// Number of tiles.
@@ -227,6 +227,20 @@ impl<'a> Exchange<'a> {
         ] {
             read(&self.state[self.state_place(robot, name)..], numbers);
         }
+    }
+
+    /// Writes the memory of a robot's actuator networks, see
+    /// [`NetworkStep`](polypod_dynamics::NetworkStep).
+    #[inline]
+    pub fn write_memory(&mut self, robot: usize, memory: &[f32]) {
+        let at = self.state_place(robot, S_MEMORY);
+        write(&mut self.state[at..], memory);
+    }
+
+    /// Reads the memory of a robot's actuator networks.
+    #[inline]
+    pub fn read_memory(&self, robot: usize, memory: &mut [f32]) {
+        read(&self.state[self.state_place(robot, S_MEMORY)..], memory);
     }
 
     /// Writes the impulses from which the solver starts, as many as the list has room for.
@@ -489,6 +503,17 @@ impl Block {
         state.impulse.fill([0.0; 3]);
         rows.impulses(robot).for_each(|(contact, impulse)| state.impulse[contact as usize] = impulse);
         state.find_pressing();
+    }
+
+    /// Writes the memory of a robot's actuator networks, see
+    /// [`NetworkStep`](polypod_dynamics::NetworkStep).
+    pub fn write_memory(&mut self, robot: usize, memory: &[f32]) {
+        self.exchange().write_memory(robot, memory);
+    }
+
+    /// Reads the memory of a robot's actuator networks.
+    pub fn read_memory(&mut self, robot: usize, memory: &mut [f32]) {
+        self.exchange().read_memory(robot, memory);
     }
 
     /// Writes a robot's drive, and where the origin of its env is in the grid's frame, m. Its

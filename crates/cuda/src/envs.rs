@@ -206,17 +206,22 @@ impl BodyList {
         Self::JointDamping,
     ];
 
+    /// The number that the text has for it, and its column of parameters.
+    fn places(self) -> [usize; 2] {
+        match self {
+            Self::Stiffness => [LIST_STIFFNESS, P_STIFFNESS],
+            Self::Damping => [LIST_DAMPING, P_DAMPING],
+            Self::EffortLimit => [LIST_EFFORT_LIMIT, P_EFFORT_LIMIT],
+            Self::SaturationEffort => [LIST_SATURATION_EFFORT, P_SATURATION_EFFORT],
+            Self::Armature => [LIST_ARMATURE, P_ARMATURE],
+            Self::JointFriction => [LIST_JOINT_FRICTION, P_JOINT_FRICTION],
+            Self::JointDamping => [LIST_JOINT_DAMPING, P_JOINT_DAMPING],
+        }
+    }
+
     /// The number that the text has for it.
     pub fn code(self) -> i32 {
-        whole(match self {
-            Self::Stiffness => LIST_STIFFNESS,
-            Self::Damping => LIST_DAMPING,
-            Self::EffortLimit => LIST_EFFORT_LIMIT,
-            Self::SaturationEffort => LIST_SATURATION_EFFORT,
-            Self::Armature => LIST_ARMATURE,
-            Self::JointFriction => LIST_JOINT_FRICTION,
-            Self::JointDamping => LIST_JOINT_DAMPING,
-        })
+        whole(self.places()[0])
     }
 }
 
@@ -224,23 +229,15 @@ impl BodyList {
 /// mass and inertia of the base, static, dynamic, torsional and rolling friction.
 pub const BODY_NUMBERS: usize = BODY_JOINTS;
 
+/// Columns of parameters that have these numbers.
+const CHANGED_OF_BASE: [usize; 7] =
+    [P_MASS, P_COM, P_INERTIA, P_STATIC_FRICTION, P_DYNAMIC_FRICTION, P_TORSIONAL_FRICTION, P_ROLLING_FRICTION];
+
 /// Columns of parameters that such events change, a bit for each.
-const CHANGED_AT_RESETS: [usize; 14] = [
-    P_MASS,
-    P_COM,
-    P_INERTIA,
-    P_STATIC_FRICTION,
-    P_DYNAMIC_FRICTION,
-    P_TORSIONAL_FRICTION,
-    P_ROLLING_FRICTION,
-    P_STIFFNESS,
-    P_DAMPING,
-    P_EFFORT_LIMIT,
-    P_SATURATION_EFFORT,
-    P_ARMATURE,
-    P_JOINT_FRICTION,
-    P_JOINT_DAMPING,
-];
+fn changed_at_resets() -> u32 {
+    let of_joints = BodyList::ALL.into_iter().map(|list| list.places()[1]);
+    CHANGED_OF_BASE.into_iter().chain(of_joints).fold(0, |all, name| all | 1 << (name - P_OFFSET))
+}
 
 /// Ranges of the velocity command from a control step on: forward and left velocity and yaw rate.
 pub type StageForm = (u64, [[f32; 2]; 3]);
@@ -623,7 +620,7 @@ impl TaskTables {
         }
         lists.list(K_COMMANDS, commands.as_flattened());
         lists.integers[K_STAGE] = lists.stages(task.stages.iter().map(|(step, ranges)| (*step, ranges.as_flattened())));
-        let own = if body > 0 { CHANGED_AT_RESETS.iter().fold(0, |all, name| all | 1 << (name - P_OFFSET)) } else { 0 };
+        let own = if body > 0 { changed_at_resets() } else { 0 };
         let ended = ENDED_SIZE + TOTALS + task.rewards.len();
         let widths = [task.widths[0], task.widths[1], ended];
         Self { integers: lists.integers, numbers: lists.numbers, columns: next, widths, own }

@@ -82,10 +82,10 @@ pub(crate) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Kernels {
-    /// Kernels of a card, which are compiled later.
+    /// Kernels of a card, which are read or compiled later.
     ///
     /// # Errors
-    /// No compiler; another value of the variable.
+    /// No compiler, and none shipped; another value of the variable.
     pub(crate) fn new(context: &Arc<CudaContext>) -> Result<Self, DeviceError> {
         let choice = match std::env::var(VARIABLE).as_deref() {
             Ok("own") => Choice::Own,
@@ -93,7 +93,7 @@ impl Kernels {
             Ok("common") | Err(_) => Choice::Common,
             Ok(other) => return Err(DeviceError::Kernels(other.to_owned())),
         };
-        if !nvrtc::is_present() {
+        if !nvrtc::is_present() && !(choice == Choice::Common && nvrtc::are_kernels_shipped()) {
             return Err(DeviceError::NoCompiler);
         }
         Ok(Self {

@@ -9,6 +9,7 @@ mod envs;
 mod heights;
 mod kernels;
 mod layout;
+mod networks;
 mod nvrtc;
 mod tables;
 pub mod update;
@@ -22,18 +23,19 @@ pub use envs::{
     Slot, StageForm, TaskForm, TaskTables, Tiles, Told, Word, flags,
 };
 pub use heights::Heights;
-pub use nvrtc::{compile, search_packages};
+pub use nvrtc::{are_kernels_shipped, compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
 /// The text of the device without comments, file by file: its name and its contents. `step.cu`,
 /// `env.cu` and `learn.cu` include the others.
-pub const DEVICE_TEXT: [(&str, &str); 16] = [
+pub const DEVICE_TEXT: [(&str, &str); 17] = [
     ("step.cu", include_str!(concat!(env!("OUT_DIR"), "/step.cu"))),
     ("env.cu", include_str!(concat!(env!("OUT_DIR"), "/env.cu"))),
     ("learn.cu", include_str!(concat!(env!("OUT_DIR"), "/learn.cu"))),
     ("env.h", include_str!(concat!(env!("OUT_DIR"), "/env.h"))),
     ("block.h", include_str!(concat!(env!("OUT_DIR"), "/block.h"))),
     ("step.h", include_str!(concat!(env!("OUT_DIR"), "/step.h"))),
+    ("networks.h", include_str!(concat!(env!("OUT_DIR"), "/networks.h"))),
     ("solver.h", include_str!(concat!(env!("OUT_DIR"), "/solver.h"))),
     ("bounds.h", include_str!(concat!(env!("OUT_DIR"), "/bounds.h"))),
     ("pairs.h", include_str!(concat!(env!("OUT_DIR"), "/pairs.h"))),

@@ -1,7 +1,8 @@
-//! Compiles the text of the device for the user's card, with the NVRTC that torch's wheel brings.
+//! PTX of the text of the device: the package's, where it was built with NVRTC, or else what the
+//! NVRTC of torch's wheel makes of the text on the user's machine.
 //!
-//! The text is shipped instead of its PTX: it is a quarter of the size, and a build needs no
-//! compiler of NVIDIA's. A GPU that trains has torch, and with it NVRTC.
+//! The package holds PTX of the text that steps all morphologies, for usual numbers of threads. A
+//! build needs no compiler of NVIDIA's: without one the package has the text alone.
 #![allow(unsafe_code, reason = "the border to NVRTC, which has an interface of C")]
 
 use std::collections::BTreeMap;
@@ -42,6 +43,11 @@ const LAST: &str = "// end\n";
 /// Names of a library of the system.
 const NAMES: [&str; 5] = ["libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so", "nvrtc64_130_0.dll", "nvrtc64_120_0.dll"];
 
+/// Folder of shipped PTX within a folder of Python packages; `tools/ptx.py` writes it.
+const SHIPPED: &str = "polypod/kernels";
+/// First line of shipped PTX: the hash of the text that it was made of.
+const MADE_OF: &str = concat!("// ", env!("POLYPOD_DEVICE_TEXT"), "\n");
+
 static FOLDERS: OnceLock<Vec<PathBuf>> = OnceLock::new();
 
 /// Threads that step each of some robots together, with own kernels or without. Few robots do not
@@ -56,8 +62,8 @@ pub(crate) fn threads_of_robot(robots: usize, own: bool) -> usize {
     })
 }
 
-/// Folders of Python packages, in which the wheels of NVIDIA have `nvidia/*/lib/libnvrtc.so.*`.
-/// The first call counts.
+/// Folders of Python packages, in which the wheels of NVIDIA have `nvidia/*/lib/libnvrtc.so.*` and
+/// polypod's has PTX. The first call counts.
 pub fn search_packages(folders: Vec<PathBuf>) {
     FOLDERS.get_or_init(|| folders);
 }
@@ -95,8 +101,23 @@ fn library() -> Option<&'static Library> {
 }
 
 /// Whether the library is there.
-pub fn is_present() -> bool {
+pub(crate) fn is_present() -> bool {
     library().is_some()
+}
+
+/// Whether the package has all PTX that one text for all morphologies takes.
+pub fn are_kernels_shipped() -> bool {
+    [STEP, ENV]
+        .into_iter()
+        .all(|program| [THREADS_OF_FEW, 1].into_iter().all(|threads| shipped(program, threads).is_some()))
+}
+
+/// PTX that the package has of a program, where as many threads step a robot: made of this very
+/// text.
+fn shipped(program: &str, threads: usize) -> Option<String> {
+    let name = format!("{}-{threads}.ptx", program.trim_end_matches(".cu"));
+    let files = FOLDERS.get()?.iter().map(|folder| folder.join(SHIPPED).join(&name));
+    files.into_iter().find_map(|file| Kept { made_of: MADE_OF.into(), file }.read())
 }
 
 type Program = *mut c_void;
@@ -144,9 +165,9 @@ impl Drop for Compilation<'_> {
 }
 
 /// PTX of the text of the device for all morphologies, or for the one whose tables are the
-/// `header`, with that many threads for each robot. A process compiles that for all morphologies
-/// once. PTX stays in the user's cache, where
-/// later processes find it.
+/// `header`, with that many threads for each robot. A process reads or compiles that for all
+/// morphologies once. PTX that is compiled stays in the user's cache, where later processes find
+/// it.
 ///
 /// # Errors
 /// NVRTC is not there, or it refuses the text.
@@ -181,6 +202,9 @@ pub(crate) fn compile_update() -> Result<String, DeviceError> {
 }
 
 fn compile_or_find(program: &str, header: Option<&str>, threads: usize) -> Result<String, DeviceError> {
+    if let Some(ptx) = header.is_none().then(|| shipped(program, threads)).flatten() {
+        return Ok(ptx);
+    }
     let kept = library().and_then(|library| Kept::new(library, program, header, threads));
     if let Some(ptx) = kept.as_ref().and_then(Kept::read) {
         return Ok(ptx);
@@ -192,8 +216,8 @@ fn compile_or_find(program: &str, header: Option<&str>, threads: usize) -> Resul
     Ok(ptx)
 }
 
-/// PTX in the user's cache. A file holds everything that the PTX was made of in front of it, so
-/// that none is taken for another.
+/// PTX in the user's cache, or the package's. A file says in front of it what the PTX was made of,
+/// so that none is taken for another.
 struct Kept {
     made_of: String,
     file: PathBuf,

@@ -11,6 +11,7 @@ use polypod_dynamics::{
 
 use crate::heights::Heights;
 use crate::layout::*;
+use crate::networks::{num_features, write_networks};
 
 /// Bytes of constant memory that a kernel has (CUDA C++ Programming Guide, 17.2).
 const CONSTANT_BYTES: usize = 64 << 10;
@@ -18,11 +19,10 @@ const CONSTANT_BYTES: usize = 64 << 10;
 /// A feature that the text of the device does not have yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unsupported {
-    /// Actuator networks.
-    #[error("the device has no actuator networks yet; use another actuator or the engine \"articulated\"")]
-    Networks,
     /// A morphology whose numbers an index of 32 bits does not count.
-    #[error("the morphology has more numbers than the device can count; use fewer links or contacts")]
+    #[error(
+        "the morphology has more numbers than the device can count; use fewer links or contacts, or smaller networks"
+    )]
     TooLarge,
 }
 
@@ -68,6 +68,8 @@ pub struct Sizes {
     pub work: usize,
     /// Integers of scratch memory.
     pub work_integers: usize,
+    /// Numbers of scratch memory that each tile has for the features of networks.
+    pub features: usize,
     /// Contacts, and rows of torsional and rolling friction, that may press at a time.
     pub impulses: usize,
 }
@@ -93,12 +95,10 @@ impl Tables {
     /// A feature that the device lacks.
     pub fn new(topology: &Topology, settings: &StepSettings, scene: &Scene) -> Result<Self, Unsupported> {
         let Scene { terrain, networks, link_forces, .. } = *scene;
-        if !networks.is_empty() {
-            return Err(Unsupported::Networks);
-        }
         let mut header = vec![0; NUM_INTEGERS];
         let mut lists = Lists { integers: Vec::new(), numbers: vec![0.0; NUM_NUMBERS] };
         let stride = lists.topology(topology, link_forces, &mut header);
+        write_networks(networks, &mut header, &mut lists);
         sizes_and_settings(topology, settings, scene, stride, &mut header);
         write_settings(settings, &mut lists.numbers[..NUM_NUMBERS]);
         if let Some(heights) = terrain {
@@ -115,12 +115,23 @@ impl Tables {
             (SIZE_WORK_INTEGERS, sizes.work_integers),
         ] {
             header[name] = size;
-            // places in a tile are counted in 32 bits
-            i32::try_from(WARP * (size + LISTED_SIZE * sizes.impulses)).map_err(|_| Unsupported::TooLarge)?;
+            // places in a tile are counted in 32 bits, whatever the number of its robots
+            let most = WARP.checked_mul(size + LISTED_SIZE * sizes.impulses);
+            most.and_then(|most| i32::try_from(most).ok()).ok_or(Unsupported::TooLarge)?;
         }
         let integers = header.into_iter().chain(lists.integers).map(i32::try_from).collect::<Result<_, _>>();
         let integers = integers.map_err(|_| Unsupported::TooLarge)?;
         Ok(Self { integers, numbers: lists.numbers, grid, sizes })
+    }
+
+    /// The same tables where scratch memory is in tiles of another number of robots.
+    #[must_use]
+    pub(crate) fn with_tile(mut self, before: usize, tile: usize) -> Self {
+        let Sizes { work, features, .. } = &mut self.sizes;
+        *work = *work - *features / before + *features / tile;
+        // never fails: a tile has no more numbers than `new` has counted
+        self.integers[SIZE_WORK] = i32::try_from(*work).unwrap_or(i32::MAX);
+        self
     }
 
     /// The tables as a header of the device's text, with which it is the text of this morphology
@@ -160,13 +171,14 @@ fn exact(number: f32) -> String {
 
 /// Lists of the tables. Places in the table of integers count from its beginning, behind the
 /// header.
-struct Lists {
-    integers: Vec<usize>,
-    numbers: Vec<f32>,
+pub(crate) struct Lists {
+    pub(crate) integers: Vec<usize>,
+    pub(crate) numbers: Vec<f32>,
 }
 
 impl Lists {
-    fn here(&self) -> usize {
+    /// The place of the next integer.
+    pub(crate) fn here(&self) -> usize {
         NUM_INTEGERS + self.integers.len()
     }
 
@@ -516,6 +528,8 @@ fn place_columns(
     let impulses = topology.num_impulses();
     let spins = impulses - rows;
     let trees = header[TREES];
+    let has_networks = usize::from(!scene.networks.is_empty());
+    let features = num_features(scene.networks);
     let couplings = topology.blocks().iter().map(|block| block.num_carriers).sum::<usize>();
     let mut columns = |lists: &[(usize, usize)]| {
         let mut places = Places { integers: header, next: 0 };
@@ -564,6 +578,7 @@ fn place_columns(
         (S_JOINT, joints),
         (S_JOINT_VELOCITY, joints),
         (S_BOUND, joints),
+        (S_MEMORY, ActuatorNetwork::num_remembered_by(scene.networks)),
         (S_PRESSING, 1),
     ]);
     let drive = columns(&[
@@ -610,6 +625,9 @@ fn place_columns(
         (W_TREE, TREE_SIZE * trees),
         (W_GROUND, GROUND_SIZE * links),
         (W_FOUND, FOUND_SIZE * rows),
+        (W_DRIVEN, has_networks * joints),
+        (W_UNBOUNDED, has_networks),
+        (W_FEATURES, features / TILE_OF_HOST),
     ]);
     let work_integers = columns(&[
         (I_ROW, ROW_INTEGERS * rows),
@@ -620,5 +638,5 @@ fn place_columns(
         (I_NEXT, rows),
         (I_NEXT_PAIR, topology.pairs.len() + rows - contacts),
     ]);
-    Sizes { parameters, state, drive, report, work, work_integers, impulses }
+    Sizes { parameters, state, drive, report, work, work_integers, features, impulses }
 }

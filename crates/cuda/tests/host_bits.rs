@@ -7,12 +7,15 @@ mod scenes;
 use std::collections::BTreeSet;
 
 use polypod::dynamics::{
-    ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, LinkForce, NetworkInput,
-    NetworkProgram, Parameters, Report, State, StepSettings, Terrain, Topology, Workspace,
+    ActuatorNetwork, ContactFriction, ContactSettings, ControlStep, Drive, HeightGrid, Instruction, LinkForce,
+    NetworkInput, NetworkProgram, NetworkStep, Parameters, Report, Span, State, StepSettings, Terrain, Topology,
+    Workspace,
 };
 use polypod_cuda::{Block, Heights, Scene, Unsupported};
 use polypod_cuda_host::{OwnText, step_by_threads, step_on_host};
-use scenes::{Random, Robot, library, random_state, randomise_drive, rough_ground, with_springs_on_a_slope};
+use scenes::{
+    Random, Robot, library, random_state, randomise_drive, rough_ground, with_networks, with_springs_on_a_slope,
+};
 
 /// Robots of a block.
 const ENVS: usize = 3;
@@ -23,8 +26,8 @@ fn bits<'a>(numbers: impl IntoIterator<Item = &'a f32>) -> Vec<u32> {
     numbers.into_iter().map(|x| x.to_bits()).collect()
 }
 
-/// Names and bits of all numbers of a state and a report.
-fn named_bits(state: &State<f32>, report: &Report<f32>) -> [(&'static str, Vec<u32>); 15] {
+/// Names and bits of all numbers of a state, of the memory of networks and of a report.
+fn named_bits(state: &State<f32>, memory: &[f32], report: &Report<f32>) -> [(&'static str, Vec<u32>); 16] {
     [
         ("position", bits(&state.position)),
         ("rotation", bits(&state.rotation)),
@@ -34,6 +37,7 @@ fn named_bits(state: &State<f32>, report: &Report<f32>) -> [(&'static str, Vec<u
         ("joint velocity", bits(&state.joint_velocity)),
         ("impulse", bits(state.impulse.as_flattened())),
         ("bound impulse", bits(&state.bound_impulse)),
+        ("memory", bits(memory)),
         ("joint effort", bits(&report.joint_effort)),
         ("joint acceleration", bits(&report.joint_acceleration)),
         ("body force", bits(report.body_force.as_flattened())),
@@ -67,10 +71,10 @@ fn compare(
     steps: usize,
     has_own: bool,
 ) -> Met {
-    let Robot { name, topology, nominal } = robot;
+    let Robot { name, topology, nominal, networks } = robot;
     let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact };
     let heights = terrain.map(Heights::new);
-    let scene = Scene { terrain: heights.as_ref(), ages: 2, link_forces, ..Scene::default() };
+    let scene = Scene { terrain: heights.as_ref(), networks, ages: 2, link_forces };
     let mut random = Random(name.bytes().map(u64::from).sum());
     let mut block = Block::new(topology, &settings, &scene, ENVS).unwrap();
     block.share_parameters(nominal);
@@ -85,14 +89,17 @@ fn compare(
         drive.link_forces = link_forces.iter().map(|&key| LinkForce::zero(key)).collect();
     }
     let mut reports = vec![Report::zeros(topology, settings.decimation); ENVS];
+    let mut memories = vec![vec![0.0; ActuatorNetwork::num_remembered_by(networks)]; ENVS];
     // a workspace remembers the base's colliders from one physics step to the next
     let mut work = vec![Workspace::new(topology); ENVS];
+    let mut features = Vec::new();
     let origins: Vec<[f32; 2]> = (0..ENVS).map(|_| [random.next(), random.next()]).collect();
     let mut met = Met { own: own.is_some(), ..Met::default() };
     let num_parts: usize = topology.pairs.iter().map(|pair| pair.spans.len()).sum();
     let of_pairs = topology.contacts.len()..topology.contacts.len() + num_parts;
     states.iter().enumerate().for_each(|(env, state)| block.write_state(env, state));
     let (mut state, mut report) = (State::zeros(topology), Report::zeros(topology, settings.decimation));
+    let mut memory = memories[0].clone();
     for step in 0..steps {
         for env in 0..ENVS {
             randomise_drive(robot, &mut drives[env], &mut random);
@@ -107,6 +114,20 @@ fn compare(
             };
             assert!(stepped);
             for env in 0..ENVS {
+                if !networks.is_empty() {
+                    NetworkStep {
+                        topology,
+                        settings: &settings,
+                        networks,
+                        substep,
+                        state: &states[env],
+                        drive: &mut drives[env],
+                        memory: &mut memories[env],
+                        features: &mut features,
+                        work: &mut work[env],
+                    }
+                    .run();
+                }
                 ControlStep {
                     topology,
                     settings: &settings,
@@ -124,8 +145,9 @@ fn compare(
                 met.pairs += states[env].pressing.iter().filter(pressing).count();
                 block.read_state(env, &mut state);
                 block.read_report(env, &mut report);
-                let pairs = named_bits(&states[env], &reports[env]).into_iter().zip(named_bits(&state, &report));
-                for ((what, ours), (_, theirs)) in pairs {
+                block.read_memory(env, &mut memory);
+                let ours = named_bits(&states[env], &memories[env], &reports[env]);
+                for ((what, ours), (_, theirs)) in ours.into_iter().zip(named_bits(&state, &memory, &report)) {
                     let place = ours.iter().zip(&theirs).position(|(a, b)| a != b);
                     if let Some(at) = place {
                         let [a, b] = [ours[at], theirs[at]].map(f32::from_bits);
@@ -212,19 +234,70 @@ fn of_robots_that_are_fixed_or_fly() {
 }
 
 #[test]
-fn networks_are_refused_by_name() {
-    let program = NetworkProgram::new(1, 1, 0, 0, Vec::new()).unwrap();
+fn of_robots_whose_joints_networks_drive() {
+    let mut counts = BTreeSet::new();
+    for (index, mut robot) in library(true).into_iter().enumerate() {
+        let contact = if index % 2 == 0 { with_springs_on_a_slope(&mut robot) } else { ContactSettings::default() };
+        with_networks(&mut robot, &mut Random(index as u64));
+        counts.insert(robot.networks[0].joints().len());
+        let met = compare(&robot, contact, None, &[], 20, index == 0);
+        assert!(met.contacts > 0, "{}: {met:?}", robot.name);
+        assert_eq!(met.own, index == 0);
+    }
+    assert!(counts.len() > 3 && counts.iter().any(|count| *count > 8), "{counts:?}");
+}
+
+/// A network whose torque is that number.
+fn constant(value: f32) -> ActuatorNetwork {
+    let to = Span { first: 0, len: 1 };
+    let program = NetworkProgram::new(1, 1, 0, 0, vec![Instruction::Constant { values: vec![value], to }]);
     let input = NetworkInput { is_velocity: false, age: 0, scale: 1.0 };
-    let network = ActuatorNetwork::new(vec![0], vec![input], 1.0, program).unwrap();
-    let scene = Scene { networks: &[network], ..Scene::default() };
+    ActuatorNetwork::new(vec![0], vec![input], 1.0, program.unwrap()).unwrap()
+}
+
+/// Whether numbers of a state are numbers, after a control step under the torque of a network.
+fn are_numbers_after(torque: f32) -> Vec<bool> {
+    let robot = library(false).remove(0);
+    let Robot { topology, nominal, .. } = &robot;
+    let networks = [constant(torque)];
+    let contact = ContactSettings::default();
+    let settings = StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact };
+    let scene = Scene { networks: &networks, ages: 1, ..Scene::default() };
+    let mut block = Block::new(topology, &settings, &scene, 1).unwrap();
+    block.share_parameters(nominal);
+    let mut state = random_state(&robot, &mut Random(1));
+    block.write_state(0, &state);
+    block.write_drive(0, &Drive::zeros(topology, 1), [0.0; 2]);
+    assert!(step_by_threads(&mut block, 0..4));
+    block.read_state(0, &mut state);
+    state.position.iter().chain(&state.linear_velocity).map(|x| x.is_finite()).collect()
+}
+
+#[test]
+fn a_torque_that_is_not_finite_breaks_the_state() {
+    assert_eq!(are_numbers_after(3.0), [true; 6]);
+    for torque in [f32::INFINITY, f32::NAN] {
+        assert_eq!(are_numbers_after(torque), [false; 6], "{torque}");
+    }
+}
+
+#[test]
+fn a_block_refuses_steps_that_it_cannot_make() {
     let settings =
         StepSettings { dt: 0.005, decimation: 4, gravity: [0.0, 0.0, -9.81], contact: ContactSettings::default() };
     let topology = Topology::new(true, Vec::new(), Vec::new(), 1, Vec::new(), false);
-    assert_eq!(Block::new(&topology, &settings, &scene, 1).err(), Some(Unsupported::Networks));
-    assert!(Unsupported::Networks.to_string().contains("actuator networks"));
-    // without parameters, or beyond the control step, a step is refused too
+    // without parameters, or beyond the control step
     let mut block = Block::new(&topology, &settings, &Scene::default(), 1).unwrap();
     assert!(!step_on_host(&mut block, 0..1));
     block.share_parameters(&Parameters::zeros(&topology));
     assert!(!step_on_host(&mut block, 0..5) && step_on_host(&mut block, 0..4));
+    // features of a network whose places 32 bits do not count
+    let to = Span { first: 1, len: 1 << 28 };
+    let fill = Instruction::Copy { from: Span { first: 0, len: 1 }, to };
+    let program = NetworkProgram::new(1, 1 + to.len, 0, 0, vec![fill]).unwrap();
+    let input = NetworkInput { is_velocity: false, age: 0, scale: 1.0 };
+    let network = ActuatorNetwork::new(vec![0], vec![input], 1.0, program).unwrap();
+    let scene = Scene { networks: &[network], ..Scene::default() };
+    assert_eq!(Block::new(&topology, &settings, &scene, 1).err(), Some(Unsupported::TooLarge));
+    assert!(Unsupported::TooLarge.to_string().contains("smaller networks"));
 }

@@ -173,6 +173,21 @@ impl NetworkProgram {
     pub fn num_inputs(&self) -> usize {
         self.inputs
     }
+
+    /// Number of features of a joint, the inputs included.
+    pub fn num_features(&self) -> usize {
+        self.features
+    }
+
+    /// The feature that is the result.
+    pub fn output(&self) -> usize {
+        self.output
+    }
+
+    /// Its steps, in their order.
+    pub fn instructions(&self) -> &[Instruction] {
+        &self.instructions
+    }
 }
 
 /// One input of a network.
@@ -225,6 +240,26 @@ impl ActuatorNetwork {
     /// The joints that it drives, physical order.
     pub fn joints(&self) -> &[usize] {
         &self.joints
+    }
+
+    /// Inputs of its program, for each joint.
+    pub fn inputs(&self) -> &[NetworkInput] {
+        &self.inputs
+    }
+
+    /// Factor of the program's result, which gives N m.
+    pub fn effort_scale(&self) -> f32 {
+        self.effort_scale
+    }
+
+    /// Physics steps that it looks back.
+    pub fn past(&self) -> usize {
+        self.past
+    }
+
+    /// Computation of a joint.
+    pub fn program(&self) -> &NetworkProgram {
+        &self.program
     }
 
     /// Numbers that it remembers from one physics step to the next, for all its joints: past errors

@@ -1,4 +1,4 @@
-"""Physics alone: `polypod.Simulation`, `mujoco.rollout` and `mujoco.batch`.
+"""Physics alone: `polypod.Simulation`, `mujoco.rollout`, `mujoco.batch` and MuJoCo Warp.
 
 All step the same robot towards the same targets.
 
@@ -7,7 +7,8 @@ has its standard settings of solver and contacts, which are its fastest. Targets
 anything is timed, change every 20 ms about the default pose, so that the robots tread on the spot.
 
 `rollout` runs trajectories from states that the caller holds. `batch`, of MuJoCo 3.17 and newer,
-keeps the simulations and their warm starts between calls.
+keeps the simulations and their warm starts between calls. MuJoCo Warp steps on an NVIDIA card, four
+physics steps as one graph.
 """
 
 import importlib
@@ -126,6 +127,67 @@ def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
     return _settled(sample, simulations.state, name)
 
 
+def warp(name: str, num_envs: int, seed: int, device: str | None = None) -> Sample | None:
+    """Makes the sample of MuJoCo Warp, as `rollout` does.
+
+    None where the package `mujoco-warp` is not installed, or finds no card.
+
+    Args:
+        name: of the robot.
+        num_envs: number of envs.
+        seed: of the targets.
+        device: of Warp; None: the first card.
+
+    Raises:
+        ConfigError: where Warp has less room for contacts than the robots need.
+    """
+    mujoco()
+    try:
+        mjw, wp = importlib.import_module("mujoco_warp"), importlib.import_module("warp")
+    except ModuleNotFoundError as error:
+        if error.name not in {"mujoco_warp", "warp"}:
+            raise
+        return None
+    if device is None and not wp.is_cuda_available():
+        return None
+    _, robot, reference, order = _mujoco(name, None)
+    targets = _targets(robot, num_envs, seed)
+    with wp.ScopedDevice(device or "cuda:0") as place:
+        model = mjw.put_model(reference.model)
+        data = mjw.put_data(reference.model, reference.data, nworld=num_envs)
+
+        def steps() -> None:
+            for _ in range(HOLD):
+                mjw.step(model, data)
+
+        start = {name: wp.clone(getattr(data, name)) for name in ("qpos", "qvel", "qacc_warmstart", "time")}
+        # kernels are compiled before they are recorded
+        steps()
+        graph = None
+        if place.is_cuda:
+            with wp.ScopedCapture(device=place) as capture:
+                steps()
+            graph = capture.graph
+        for part, numbers in start.items():
+            wp.copy(getattr(data, part), numbers)
+
+    def sample() -> int:
+        data.ctrl.assign(next(targets)[:, order].astype(np.float32))
+        if graph is None:
+            steps()
+        else:
+            wp.capture_launch(graph)
+        wp.synchronize_device(place)
+        return num_envs * HOLD
+
+    for _ in range(SETTLE):
+        sample()
+    _refuse_not_finite(data.qpos.numpy(), name)
+    if data.overflow.numpy().any():
+        raise _core.ConfigError(f"MuJoCo Warp has too little room for the contacts of {name}: compare another --robot")
+    return sample
+
+
 def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Reference, list[int]]:
     """MuJoCo, the robot, its model in the default pose, and the joint of each actuator.
 
@@ -146,9 +208,13 @@ def _settled(sample: Sample, state: Array, name: str) -> Sample:
     """
     for _ in range(SETTLE):
         sample()
+    _refuse_not_finite(state, name)
+    return sample
+
+
+def _refuse_not_finite(state: Array, name: str) -> None:
     if not np.isfinite(state).all():
         raise _core.ConfigError(f"MuJoCo diverged on {name}: the comparison would mean nothing")
-    return sample
 
 
 def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> None:

@@ -71,9 +71,14 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     return result
 
 
+def _has_card() -> bool:
+    """Whether the engine of cards can be used."""
+    return not _core.cuda().startswith("not used: ")
+
+
 def _engines() -> dict[str, list[str]]:
     """Suffix of the figures and overrides of each engine: the card's too, where it can be used."""
-    return {"": []} | ({} if _core.cuda().startswith("not used: ") else {"_cuda": ["physics.engine=cuda"]})
+    return {"": []} | ({"_cuda": ["physics.engine=cuda"]} if _has_card() else {})
 
 
 def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float | None]:
@@ -87,16 +92,26 @@ def _physics(options: Options, seconds: float, rounds: int) -> dict[str, float |
     batch = physics.batch(name, few, threads, seed)
     if batch is not None:
         samples["mujoco_batch_steps_per_s"] = batch
+    # a card steps all envs at once
+    on_card = physics.warp(name, options.num_envs, seed)
+    if on_card is not None:
+        samples["mujoco_warp_steps_per_s"] = on_card
+    if _has_card():
+        samples["cuda_steps_per_s"] = physics.polypod(name, options.num_envs, threads, seed, engine="cuda")
     if not options.quick:
         samples["mujoco_one_iteration_steps_per_s"] = physics.rollout(name, few, threads, seed, iterations=1)
     measured = sampling.rates(samples, seconds, rounds)
     figures: dict[str, float | None] = {"mujoco_batch_steps_per_s": None, "batch_ratio": None}
     figures |= sampling.medians(measured)
     # ratios of samples of one round: a slower machine slows all of them
-    for ratio, other in (("ratio", "mujoco_steps_per_s"), ("batch_ratio", "mujoco_batch_steps_per_s")):
-        if other in measured:
-            pairs = zip(measured["env_steps_per_s"], measured[other], strict=True)
-            figures[ratio] = median(mine / theirs for mine, theirs in pairs)
+    for ratio, mine, other in (
+        ("ratio", "env_steps_per_s", "mujoco_steps_per_s"),
+        ("batch_ratio", "env_steps_per_s", "mujoco_batch_steps_per_s"),
+        ("warp_ratio", "cuda_steps_per_s", "mujoco_warp_steps_per_s"),
+    ):
+        if mine in measured and other in measured:
+            pairs = zip(measured[mine], measured[other], strict=True)
+            figures[ratio] = median(ours / theirs for ours, theirs in pairs)
     return figures
 
 
@@ -146,10 +161,13 @@ def table(result: Mapping[str, Any]) -> str:
     if p["mujoco_batch_steps_per_s"] is not None:
         name = f"mujoco.batch, MuJoCo {result['mujoco']}, feet only"
         rows.append((name, p["mujoco_batch_steps_per_s"], "env-physics-steps/s"))
-    if "mujoco_one_iteration_steps_per_s" in p:
-        rows.append(
-            ("mujoco.rollout, one solver iteration", p["mujoco_one_iteration_steps_per_s"], "env-physics-steps/s")
-        )
+    for key, words in (
+        ("mujoco_one_iteration_steps_per_s", "mujoco.rollout, one solver iteration"),
+        ("cuda_steps_per_s", f"physics on the card, {result['robot']}"),
+        ("mujoco_warp_steps_per_s", "MuJoCo Warp on the card, feet only"),
+    ):
+        if key in p:
+            rows.append((words, p[key], "env-physics-steps/s"))
     rows.append(
         (f"flat control step, {result['step_threads']} threads", result["env_step"]["env_steps_per_s"], "env-steps/s")
     )
@@ -157,8 +175,8 @@ def table(result: Mapping[str, Any]) -> str:
         (f"rough control step, {result['step_threads']} threads", result["rough"]["env_steps_per_s"], "env-steps/s")
     )
     for key, words in (
-        ("env_step_cuda", "flat control step, physics on the card"),
-        ("rough_cuda", "rough control step, physics on the card"),
+        ("env_step_cuda", "flat control step on the card"),
+        ("rough_cuda", "rough control step on the card"),
     ):
         if key in result:
             rows.append((words, result[key]["env_steps_per_s"], "env-steps/s"))
@@ -185,8 +203,9 @@ def row(what: str, rate: float, unit: str = "env-steps/s") -> str:
 def _ratios(result: Mapping[str, Any]) -> str:
     """A sentence that compares the physics with MuJoCo's."""
     p = result["physics"]
-    text = f"Physics: {p['ratio']:.1f} times mujoco.rollout"
+    others = {"ratio": "mujoco.rollout", "batch_ratio": "mujoco.batch", "warp_ratio": "MuJoCo Warp, both on the card"}
+    ratios = [f"{p[key]:.1f} times {other}" for key, other in others.items() if p.get(key) is not None]
+    lacks = ""
     if p["batch_ratio"] is None:
-        lacks = f"MuJoCo {result['mujoco']} has no mujoco.batch; 3.17 and newer have it"
-        return f"{text} (median of the rounds; {lacks})."
-    return f"{text}, {p['batch_ratio']:.1f} times mujoco.batch (medians of the rounds)."
+        lacks = f"; MuJoCo {result['mujoco']} has no mujoco.batch; 3.17 and newer have it"
+    return f"Physics: {', '.join(ratios)} (medians of the rounds{lacks})."

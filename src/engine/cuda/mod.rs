@@ -26,18 +26,20 @@ use robots::{Means, Pair, Robots};
 use trial::Trial;
 pub use whole::{BrokenRobot, WholeSteps};
 
-/// Folders of Python packages, in which `cuda` looks for torch's NVRTC; the first call counts.
+/// Folders of Python packages, in which `cuda` looks for its kernels and for torch's NVRTC; the
+/// first call counts.
 pub use polypod_cuda::search_packages;
 
 /// Whether the engine `cuda` can be used here, and why not: one line.
 pub fn describe_card() -> String {
     match polypod_cuda::find() {
         Ok(Found { name, driver, memory }) => format!(
-            "{name}, {} GB, driver for CUDA {}.{}; tasks use it with physics.engine=cuda, and alone \
+            "{name}, {} GB, driver for CUDA {}.{}; its kernels {}; tasks use it with physics.engine=cuda, and alone \
              or next to the CPU, where that is faster, with physics.engine=auto",
             memory >> 30,
             driver / 1000,
-            driver % 1000 / 10
+            driver % 1000 / 10,
+            if polypod_cuda::are_kernels_shipped() { "are in the package" } else { "are compiled once" }
         ),
         Err(error) => format!("not used: {error}; {}", error.remedy()),
     }
@@ -50,7 +52,8 @@ pub fn describe_card() -> String {
 ///
 /// [`Learner::use_device`]: crate::learner::Learner::use_device
 pub fn open_update_card() -> Result<Box<dyn UpdateDevice>, Error> {
-    let refused = |error: DeviceError| Error::argument("card", error.to_string(), "learn on the CPU, with the same bits");
+    let refused =
+        |error: DeviceError| Error::argument("card", error.to_string(), "learn on the CPU, with the same bits");
     Ok(Box::new(Update::new(UpdateCard::open().map_err(refused)?)))
 }
 

@@ -174,6 +174,7 @@ impl Part<'_, '_> {
                     bounds: &impulses.bounds,
                 },
             );
+            exchange.write_memory(row, &rows.memories[row].0);
             contacts = contacts.max(impulses.contacts.len());
             exchange.write_impulses(row, impulses.contacts.iter().map(|of| (of.contact, of.impulse)));
             // without a history no actuator sees a delay
@@ -306,13 +307,15 @@ impl Robots {
         let delays: &mut [f32] = if ages > 1 { &mut delay.0 } else { &mut [] };
         before.read_targets(0, targets.history.iter_mut().flatten(), delays);
         before.read_wrench(0, &mut wrench.force, &mut wrench.torque);
+        let mut memory = vec![0.0; ActuatorNetwork::num_remembered_by(&self.networks)];
+        before.read_memory(0, &mut memory);
         let record = DivergenceRecord {
             morphology: 0,
             env: self.envs.start + robot,
             before: motion(&before, joints),
             targets,
             delay,
-            memory: ActuatorMemory::default(),
+            memory: ActuatorMemory(memory.into()),
             wrench,
             link_forces: LinkForces::default(),
             after: motion(&after, joints),
@@ -516,6 +519,7 @@ fn write_row(rows: &mut RobotSlices<'_>, row: usize, exchange: &Exchange<'_>, fe
             bounds: &mut impulses.bounds,
         },
     );
+    exchange.read_memory(row, &mut rows.memories[row].0);
     impulses.contacts.clear();
     impulses.contacts.extend(exchange.impulses(row).map(|(contact, impulse)| ContactImpulse { contact, impulse }));
     let effort = &mut rows.efforts[row];

@@ -165,6 +165,29 @@ def test_steps_whose_arrays_never_leave_the_card(card: str, task: str) -> None:
 
 
 @pytest.mark.cuda
+@pytest.mark.parametrize("model", ["actuator_net_mlp", "actuator_net_lstm"])
+def test_networks_drive_joints_with_the_bits_of_the_cpu(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, card: str, model: str
+) -> None:
+    torch = pytest.importorskip("torch")
+    from lab.actuator_networks import BASE, MLP, lstm, onnx_of, toml
+
+    robots = tmp_path / "configs/robots"
+    robots.mkdir(parents=True)
+    layers = [torch.nn.Linear(6, 32), torch.nn.Softsign(), torch.nn.Linear(32, 32), torch.nn.ELU()]
+    perceptron = torch.nn.Sequential(*layers, torch.nn.Linear(32, 1))
+    recurrent = model == "actuator_net_lstm"
+    data, settings = (onnx_of(lstm()), {}) if recurrent else (onnx_of(perceptron, 6), MLP)
+    (robots / "net_dog.onnx").write_bytes(data)
+    limits = {"effort_limit": 30.0, "saturation_effort": 30.0, "velocity_limit": 30.0}
+    text = f'extends = "{BASE}"\nname = "net_dog"\ntitle = "net_dog"\n[actuators.legs]\n'
+    text += toml(model=model, network_file="net_dog.onnx", **limits, **settings) + "\n"
+    (robots / "net_dog.toml").write_text(text, encoding="utf-8")
+    monkeypatch.setenv("POLYPOD_PATH", str(tmp_path))
+    check("velocity_flat", 512, 150, robots=["net_dog", BASE])
+
+
+@pytest.mark.cuda
 def test_many_steps_in_flight_have_the_bits_of_single_ones(card: str) -> None:
     torch = pytest.importorskip("torch")
     cpu, gpu = pair("velocity_flat", 2048, SHORT)

@@ -83,6 +83,32 @@ def test_rollout_and_batch_step_the_same_model_to_the_same_targets(name: str, mo
     assert np.all(np.abs(np.diff(qpos, axis=0)).max(axis=1) > 1e-3)
 
 
+def test_warp_steps_the_same_model_to_the_same_targets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warp computes in single precision, so that digits differ.
+
+    It steps on the CPU here, as it does on a card.
+    """
+    pytest.importorskip("mujoco_warp", reason="mujoco-warp is not installed")
+    monkeypatch.setattr(physics, "SETTLE", 3)
+    simulations = closure_of(physics.batch("unitree_a1", 4, 2, seed=5))["simulations"]
+    data = closure_of(physics.warp("unitree_a1", 4, seed=5, device="cpu"))["data"]
+    np.testing.assert_allclose(data.time.numpy(), 3 * physics.HOLD * physics.DT, rtol=1e-5)
+    np.testing.assert_allclose(data.qpos.numpy(), simulations.bind("qpos"), atol=0.02)
+
+
+def test_a_card_is_compared_with_warp_where_both_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert physics.warp("unitree_a1", 4, seed=5) is None or report._has_card()
+    makes = physics.polypod
+    monkeypatch.setattr(report, "_has_card", lambda: True)
+    monkeypatch.setattr(physics, "warp", lambda *_: lambda: 100)
+    monkeypatch.setattr(physics, "polypod", lambda *given, engine="articulated": makes(*given))
+    work = {"cuda_steps_per_s": 300.0, "mujoco_warp_steps_per_s": 100.0}
+    monkeypatch.setattr(sampling, "rates", lambda samples, *_: {name: [work.get(name, 50.0)] for name in samples})
+    figures = report._physics(report.Options(num_envs=16, quick=True), 0.0, 1)
+    assert figures["warp_ratio"] == 3.0
+    assert "3.0 times MuJoCo Warp, both on the card" in report._ratios({"mujoco": "4.0.0", "physics": figures})
+
+
 @pytest.mark.parametrize("name", ["phantomx", "unitree_h1", "unitree_go2"])
 def test_robots_of_every_class_are_measured(name: str) -> None:
     assert control_steps(report.task_of(name), 2, 1, 0, robots=[name])() == 2

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
+from polypod import _core
 
 sys.path.insert(0, str(ROOT / "tools"))
 import ptx
@@ -36,12 +37,11 @@ def nvrtc() -> Path:
         pytest.skip(str(error))
 
 
-@pytest.fixture(scope="module", params=[1, 4, "env"])
+@pytest.fixture(scope="module", params=["step-1.ptx", "step-4.ptx", "env-4.ptx"])
 def text(nvrtc: Path, request: pytest.FixtureRequest) -> str:
     """PTX of the physics with as many threads for a robot, and of the envs around it."""
-    if request.param == "env":
-        return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *ptx.ENV_FLAGS), program="env.cu")
-    return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, f"-DLANES={request.param}"))
+    program, flags = ptx.programs()[request.param]
+    return ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *flags), program=program)
 
 
 def test_the_text_rounds_every_operation_to_nearest(text: str) -> None:
@@ -72,7 +72,8 @@ def test_drivers_since_cuda_11_take_the_text(nvrtc: Path, text: str) -> None:
 
 
 def test_the_update_rounds_every_operation_to_nearest(nvrtc: Path) -> None:
-    text = ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *ptx.UPDATE_FLAGS), program=ptx.UPDATE)
+    program, flags = ptx.programs()["learn-1.ptx"]
+    text = ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *flags), program=program)
     assert ptx.inexact(text, has_doubles=True) == []
     assert "in double precision" in ptx.inexact(text)[0]
     found = ptx.operations(text)
@@ -81,6 +82,28 @@ def test_the_update_rounds_every_operation_to_nearest(nvrtc: Path) -> None:
     assert not any(name.startswith("fma") and name.endswith("f64") for name in found)
     kernels = ("rows", "inputs", "product", "surrogate", "value", "chains", "weights", "total", "step")
     assert all(f".entry polypod_learn_{kernel}(" in text for kernel in kernels)
+
+
+def test_the_extension_takes_kernels_of_this_text() -> None:
+    extension = Path(_core.__file__).read_bytes()
+    assert f"// {ptx.text_hash()}\n".encode() in extension
+    for name in ptx.programs():
+        assert name.split("-")[0].encode() + b".cu" in extension
+
+
+def test_a_package_without_nvrtc_ships_no_kernels(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def absent() -> Path:
+        raise ptx.MissingNvrtcError("libnvrtc: not found")
+
+    monkeypatch.setattr(ptx, "PACKAGE", tmp_path)
+    monkeypatch.setattr(ptx, "find_nvrtc", absent)
+    monkeypatch.setattr(sys, "argv", ["ptx.py", "--package"])
+    (tmp_path / "step-1.ptx").write_text("of another text")
+    assert ptx.main() == 0
+    assert list(tmp_path.iterdir()) == []
+    assert "ships no kernels" in capsys.readouterr().err
 
 
 def test_right_flags_keep_each_operation_as_it_is_written(nvrtc: Path) -> None:

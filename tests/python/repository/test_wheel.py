@@ -12,8 +12,11 @@ import pytest
 from common import ROOT
 from polypod.bundled import NAMES
 
+sys.path.insert(0, str(ROOT / "tools"))
+import ptx
+
 MOST_BYTES = 19_400_000
-"""10 MB of them are the extension, 7 MB the four bundled policies."""
+"""10 MB of them are the extension, 7 MB the four bundled policies, 0.7 MB kernels of a card."""
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +24,13 @@ def wheel() -> Path:
     wheels = sorted((ROOT / "dist").glob("polypod-*.whl"))
     assert len(wheels) == 1, f"{wheels} in dist/: build one with `make wheel`"
     return wheels[0]
+
+
+def has_nvrtc() -> bool:
+    try:
+        return ptx.find_nvrtc() is not None
+    except ptx.MissingNvrtcError:
+        return False
 
 
 def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
@@ -38,7 +48,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     shipped = [name.removeprefix("polypod/") for name in names if name.startswith("polypod/")]
     assert laboratory.isdisjoint([*shipped, *(name.split("/")[0] for name in shipped)])
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
-    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml", ".hpp"}
+    assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml", ".hpp", ".ptx"}
     for folder in NAMES.values():
         of_policy = {Path(name).name for name in names if name.startswith(f"polypod/policies/{folder}/model_")}
         assert len(of_policy) == 1
@@ -47,6 +57,9 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     for name in ("deploy/onboard/policy_loop.py", "deploy/onboard/policy_loop.hpp", "export/contract.schema.json"):
         assert f"polypod/{name}" in names
     assert "polypod/export/motors.json" in names
+    # a machine with NVRTC makes kernels of a card
+    kernels = {name for name in names if name.startswith("polypod/kernels/")}
+    assert kernels == ({f"polypod/kernels/{name}" for name in ptx.programs()} if has_nvrtc() else set())
 
 
 def test_the_shipped_policy_walks_from_it(wheel: Path, tmp_path: Path) -> None:

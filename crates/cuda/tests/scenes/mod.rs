@@ -3,7 +3,10 @@
 #![allow(dead_code, reason = "each of its users needs a part of it")]
 
 use polypod::config::Library;
-use polypod::dynamics::{ContactSettings, Drive, HeightGrid, Parameters, Plane, State, Topology};
+use polypod::dynamics::{
+    ActuatorNetwork, ContactSettings, Drive, Function, HeightGrid, Instruction, NetworkInput, NetworkProgram,
+    Operation, Parameters, Plane, Span, State, Topology,
+};
 use polypod::{Sim, SimOptions};
 
 /// Random numbers, the same on every machine.
@@ -22,6 +25,7 @@ pub struct Robot {
     pub name: String,
     pub topology: Topology,
     pub nominal: Parameters<f32>,
+    pub networks: Vec<ActuatorNetwork>,
 }
 
 /// All morphologies; `touching`: with contacts between the links of every robot.
@@ -42,6 +46,7 @@ pub fn library(touching: bool) -> Vec<Robot> {
             name,
             topology: morphology.topology.clone(),
             nominal: morphology.nominal.clone(),
+            networks: Vec::new(),
         })
         .collect()
 }
@@ -113,6 +118,122 @@ pub fn with_springs_on_a_slope(robot: &mut Robot) -> ContactSettings {
     ContactSettings { ground, iterations: 6, ..ContactSettings::default() }
 }
 
+/// Instructions of a network that is being built, and its features so far.
+struct Program<'a> {
+    instructions: Vec<Instruction>,
+    features: usize,
+    random: &'a mut Random,
+}
+
+impl Program<'_> {
+    fn span(&mut self, len: usize) -> Span {
+        self.features += len;
+        Span { first: self.features - len, len }
+    }
+
+    fn affine(&mut self, from: Span, outputs: usize) -> Span {
+        let to = self.span(outputs);
+        let size = 1.5 / (from.len as f32).sqrt();
+        let weights = (0..(from.len + 1) * outputs).map(|_| size * self.random.next()).collect();
+        self.instructions.push(Instruction::Affine { from, to, weights });
+        to
+    }
+
+    fn map(&mut self, function: Function, from: Span) -> Span {
+        let to = self.span(from.len);
+        self.instructions.push(Instruction::Map { function, from, to });
+        to
+    }
+
+    fn combine(&mut self, operation: Operation, a: Span, b: Span) -> Span {
+        let to = self.span(a.len);
+        self.instructions.push(Instruction::Combine { operation, a, b, to });
+        to
+    }
+
+    /// The network, whose result is the first of these features.
+    fn end(self, result: Span, joints: Vec<usize>, ages: &[usize], memory: usize) -> ActuatorNetwork {
+        let input = |is_velocity: bool, scale: f32| {
+            ages.iter().map(move |&age| NetworkInput { is_velocity, age, scale: scale / (1 + age) as f32 })
+        };
+        let inputs: Vec<NetworkInput> = input(false, 1.3).chain(input(true, 0.1)).collect();
+        let program =
+            NetworkProgram::new(inputs.len(), self.features, memory, result.first, self.instructions).unwrap();
+        ActuatorNetwork::new(joints, inputs, 9.0, program).unwrap()
+    }
+}
+
+/// A network with every instruction that has no memory: layers of many sizes, all functions.
+fn perceptron(joints: Vec<usize>, ages: &[usize], random: &mut Random) -> ActuatorNetwork {
+    let mut program = Program { instructions: Vec::new(), features: 2 * ages.len(), random };
+    let mut x = Span { first: 0, len: 2 * ages.len() };
+    let functions = [
+        Function::Softsign,
+        Function::Elu(0.7),
+        Function::LeakyRelu(0.2),
+        Function::Tanh,
+        Function::Abs,
+        Function::Sigmoid,
+        Function::Neg,
+        Function::Relu,
+    ];
+    for (function, width) in functions.into_iter().zip([19, 8, 5, 1, 32, 3, 16, 9]) {
+        let y = program.affine(x, width);
+        x = program.map(function, y);
+    }
+    let (one, many) = (program.affine(x, 1), program.span(9));
+    program.instructions.push(Instruction::Copy { from: one, to: many });
+    let values: Vec<f32> = (0..9).map(|_| 2.0 + program.random.next()).collect();
+    let constant = program.span(9);
+    program.instructions.push(Instruction::Constant { values, to: constant });
+    let x = program.combine(Operation::Mul, many, x);
+    let x = program.combine(Operation::Sub, constant, x);
+    let x = program.combine(Operation::Add, x, many);
+    let x = program.combine(Operation::Div, x, constant);
+    let moved = program.span(9);
+    program.instructions.push(Instruction::Copy { from: x, to: moved });
+    // ranges that overlap
+    let (from, to) = (Span { first: moved.first, len: 8 }, Span { first: moved.first + 1, len: 8 });
+    program.instructions.push(Instruction::Copy { from, to });
+    program.instructions.push(Instruction::Copy { from: to, to: from });
+    let result = program.affine(moved, 1);
+    program.end(result, joints, ages, 0)
+}
+
+/// A network of LSTM layers, each of as many units as this says.
+fn recurrent(joints: Vec<usize>, layers: &[usize], random: &mut Random) -> ActuatorNetwork {
+    let mut program = Program { instructions: Vec::new(), features: 2, random };
+    let (mut x, mut memory) = (Span { first: 0, len: 2 }, 0);
+    for &units in layers {
+        let both = program.span(x.len + units);
+        let (given, recalled) =
+            (Span { first: both.first, len: x.len }, Span { first: both.first + x.len, len: units });
+        program.instructions.push(Instruction::Copy { from: x, to: given });
+        program.instructions.push(Instruction::Recall { memory, to: recalled });
+        let gates = program.affine(both, 4 * units);
+        x = program.span(units);
+        program.instructions.push(Instruction::Cell { gates, hidden: memory, cell: memory + units, to: x });
+        memory += 2 * units;
+    }
+    let result = program.affine(x, 1);
+    program.end(result, joints, &[0], memory)
+}
+
+/// Gives a robot networks for most of its joints: perceptrons that look back, and LSTMs.
+pub fn with_networks(robot: &mut Robot, random: &mut Random) {
+    let joints = robot.topology.num_joints();
+    let every = |step: usize, first: usize| (first..joints).step_by(step).collect::<Vec<_>>();
+    robot.networks = vec![
+        perceptron(every(3, 0), &[0, 1, 3], random),
+        recurrent(every(3, 1), &[8, 5], random),
+        perceptron(every(6, 2), &[2], random),
+    ];
+    for &joint in robot.networks.iter().flat_map(ActuatorNetwork::joints) {
+        robot.topology.joints[joint].explicit = true;
+        (robot.nominal.stiffness[joint], robot.nominal.damping[joint]) = (0.0, 0.0);
+    }
+}
+
 /// A morphology of the reference task, and how it stands.
 pub struct Standing {
     pub robot: Robot,
@@ -131,6 +252,7 @@ pub fn reference_robots() -> Vec<Standing> {
                 name: loaded.config.name.clone(),
                 topology: morphology.topology.clone(),
                 nominal: morphology.nominal.clone(),
+                networks: Vec::new(),
             },
             position: morphology.stance.default_position.to_vec(),
             height: morphology.stance.spawn_height,
