@@ -27,7 +27,7 @@
 
 #ifdef __CUDACC__
 #define FOUR __align__(16)
-/* What the threads of a block do up to the next MEET. A loop may stand for the threads: so numbers that a
+/* Work of the threads of a block up to the next MEET. A loop may stand for the threads: so numbers that a
  * thread keeps beyond have a place MINE of OWN. host/src/update_threads.c defines these for coroutines. */
 #define EACH_THREAD for (int t = (int)threadIdx.x, once = 1; once; once = 0)
 #define OWN 1
@@ -79,8 +79,8 @@ typedef struct {
     int envs;
 } Part;
 
-/* Which samples rows are: their numbers among those of all parts, -1 for none, and twice the robot, plus
- * one for an image. */
+/* The samples of the rows: their numbers among the samples of all parts, -1 for a row of zeros; and twice
+ * the robot, plus one for an image. */
 enum { AS_IT_IS, BOTH, IN_TURN };
 typedef struct {
     const Part *part;
@@ -318,7 +318,7 @@ FN void surrogate_of_row(const Surrogate *job, int row) {
             if (k < job->numbers) x = index ? action[index[k]] * sign[k] : action[k];
             /* nobody reads the divergence of an image */
             float z = (x - mean[k]) * inverse[k], d = (old[k] - mean[k]) * inverse[k];
-            /* what the second pass needs of the action */
+            /* kept for the second pass */
             terms[k] = x;
             squares[i] = z * z;
             moves[i] = d * d;
