@@ -28,6 +28,8 @@ FLAGS = ("--fmad=false", "--ftz=false", "--prec-div=true", "--prec-sqrt=true")
 """Flags of NVRTC that keep each operation as it is written; the defaults contract."""
 PACKAGE = ROOT / "python" / "polypod" / "kernels"
 """Folder of the PTX that a wheel ships."""
+UPDATE = "learn.cu"
+"""The program of the native learner's update."""
 ROUNDED = frozenset({"add", "sub", "mul", "div", "fma", "sqrt", "rcp"})
 """Operations that must say that they round to nearest."""
 INEXACT = frozenset({"mad", "rsqrt", "sin", "cos", "tanh", "ex2", "lg2"})
@@ -123,8 +125,11 @@ def operations(ptx: str) -> dict[str, int]:
     return found
 
 
-def inexact(ptx: str) -> list[str]:
-    """Instructions whose bits a CPU need not share, each with the reason."""
+def inexact(ptx: str, *, has_doubles: bool = False) -> list[str]:
+    """Instructions whose bits a CPU need not share, each with the reason.
+
+    `has_doubles`: the CPU computes in double precision too, as the learner does in sums.
+    """
     problems = []
     for name, count in sorted(operations(ptx).items()):
         operation, *suffixes = name.split(".")
@@ -136,7 +141,7 @@ def inexact(ptx: str) -> list[str]:
             problems.append(f"{name} ({count} times): flushes subnormal numbers to zero")
         elif operation in ROUNDED and "rn" not in suffixes:
             problems.append(f"{name} ({count} times): may be contracted")
-        elif "f64" in suffixes:
+        elif "f64" in suffixes and not has_doubles:
             problems.append(f"{name} ({count} times): in double precision, as no kernel is")
     # with a number that is no NaN, the instruction is what a comparison and a choice give
     choices = re.findall(r"^\s*(?:@!?%\w+\s+)?((?:min|max)\.f32)\s([^;]*);", ptx, re.MULTILINE)
@@ -158,14 +163,14 @@ def text_hash() -> str:
 def programs() -> dict[str, tuple[str, tuple[str, ...]]]:
     """Files that a wheel ships: the program of each, and its flags besides `FLAGS`.
 
-    Their names say how many threads step a robot: those of few robots, or one.
+    Their names say how many threads step a robot: those of few robots, or one. The update has 1.
     """
     few, warp = constant("THREADS_OF_FEW"), constant("WARP")
     files = {}
     for threads in (few, 1):
         files[f"step-{threads}.ptx"] = ("step.cu", (f"-DLANES={threads}",))
         files[f"env-{threads}.ptx"] = ("env.cu", ("-DLANES=1", f"-DTILE={warp // threads}"))
-    return files
+    return {**files, "learn-1.ptx": (UPDATE, ("-DLANES=1",))}
 
 
 def write_package() -> list[str]:
@@ -180,7 +185,7 @@ def write_package() -> list[str]:
     problems = []
     for name, (program, flags) in programs().items():
         ptx = compile_text(library, flags=(*FLAGS, *flags), program=program)
-        problems += inexact(ptx)
+        problems += inexact(ptx, has_doubles=program == UPDATE)
         (PACKAGE / name).write_text(f"// {text_hash()}\n{ptx}// end\n", encoding="utf-8", newline="\n")
         print(f"{PACKAGE / name}: {len(ptx)} bytes")
     return problems
@@ -192,10 +197,12 @@ def write_step(arch: str, out: Path) -> list[str]:
     Raises :class:`NvrtcError` if NVRTC is missing or refuses the text.
     """
     library = find_nvrtc()
-    (step, *others) = (
-        compile_text(library, arch, (*FLAGS, *flags), program=name) for name, flags in programs().values()
-    )
-    problems = [problem for ptx in (step, *others) for problem in inexact(ptx)]
+    made = [
+        (program, compile_text(library, arch, (*FLAGS, *flags), program=program))
+        for program, flags in programs().values()
+    ]
+    problems = [problem for program, ptx in made for problem in inexact(ptx, has_doubles=program == UPDATE)]
+    (_, step), *_ = made
     if not problems:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(step, encoding="utf-8")

@@ -241,6 +241,23 @@ class Learner:
         Raises ConfigError for another simulation, and ValueError where steps are left.
         """
 
+    def use_card(self) -> str:
+        """Computes the coming updates on the first NVIDIA card, with the bits of the CPU.
+
+        Returns:
+            The name of the card.
+
+        Raises:
+            ConfigError: without a card, its driver or NVRTC, for networks of joints, and for one of
+                several workers. The CPU goes on with the updates.
+        """
+
+    def take_card_failure(self) -> str | None:
+        """Why the card was given up, if it was; says it once.
+
+        The CPU made the last update again, with the same bits, and makes the coming ones.
+        """
+
     def set_goals(self, entropy_coef: float, desired_kl: float | None) -> None:
         """Changes what the coming updates aim at.
 

@@ -25,7 +25,7 @@ use crate::workers::Workers;
 use articulated::Packs;
 use avian::{AvianRobots, EngineError};
 
-pub use cuda::{BrokenRobot, OnDevice, WholeSteps, describe_card, search_packages};
+pub use cuda::{BrokenRobot, OnDevice, WholeSteps, describe_card, open_update_card, search_packages};
 pub use divergence::{DivergenceRecord, Motion};
 pub(crate) use limits::StateNumbers;
 pub use limits::{Quantity, StateLimits, Violation};

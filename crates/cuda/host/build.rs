@@ -6,11 +6,14 @@ use std::env;
 fn main() {
     println!("cargo::rerun-if-changed=../device");
     println!("cargo::rerun-if-changed=src/threads.c");
+    println!("cargo::rerun-if-changed=src/update_threads.c");
     compile("../device/step.cu", "c11", "polypod_cuda_host");
     compile("../device/env.cu", "c11", "polypod_cuda_env");
+    compile("../device/learn.cu", "c11", "polypod_cuda_learn");
     // coroutines need ucontext.h
     if env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("linux") {
         compile("src/threads.c", "gnu11", "polypod_cuda_threads");
+        compile("src/update_threads.c", "gnu11", "polypod_cuda_update_threads");
     }
 }
 

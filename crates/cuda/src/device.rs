@@ -34,9 +34,9 @@ pub enum DeviceError {
     #[error("POLYPOD_CUDA_KERNELS is `{0}`, which is none of common, own and ready")]
     Kernels(String),
     /// The card's memory or the host's pinned memory is too small.
-    #[error("the card has {free} MB of memory free, and the robots need {needed} MB")]
+    #[error("the card has {free} MB of memory free, and {needed} MB are needed")]
     Memory {
-        /// MB that the robots need.
+        /// MB that are needed.
         needed: usize,
         /// MB that are free.
         free: usize,

@@ -12,6 +12,7 @@ mod layout;
 mod networks;
 mod nvrtc;
 mod tables;
+pub mod update;
 
 pub use columns::{Block, Exchange, Motion, Parts, Shape, list};
 pub use device::{Device, DeviceBlock, DeviceError, EnvBlock};
@@ -25,11 +26,12 @@ pub use heights::Heights;
 pub use nvrtc::{are_kernels_shipped, compile, search_packages};
 pub use tables::{Scene, Sizes, Tables, Unsupported};
 
-/// The text of the device without comments, file by file: its name and its contents. `step.cu`
-/// and `env.cu` include the others.
-pub const DEVICE_TEXT: [(&str, &str); 16] = [
+/// The text of the device without comments, file by file: its name and its contents. `step.cu`,
+/// `env.cu` and `learn.cu` include the others.
+pub const DEVICE_TEXT: [(&str, &str); 17] = [
     ("step.cu", include_str!(concat!(env!("OUT_DIR"), "/step.cu"))),
     ("env.cu", include_str!(concat!(env!("OUT_DIR"), "/env.cu"))),
+    ("learn.cu", include_str!(concat!(env!("OUT_DIR"), "/learn.cu"))),
     ("env.h", include_str!(concat!(env!("OUT_DIR"), "/env.h"))),
     ("block.h", include_str!(concat!(env!("OUT_DIR"), "/block.h"))),
     ("step.h", include_str!(concat!(env!("OUT_DIR"), "/step.h"))),

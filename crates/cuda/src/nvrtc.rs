@@ -30,6 +30,7 @@ const FOR_ONE: &CStr = c"-DPOLYPOD_TABLES";
 /// Names of the programs.
 const STEP: &str = "step.cu";
 const ENV: &str = "env.cu";
+const LEARN: &str = "learn.cu";
 /// Name of the header in `device/tables.h`.
 const HEADER: &str = "morphology.h";
 /// The oldest version of PTX that knows the architecture: a driver refuses a newer one than its
@@ -190,6 +191,14 @@ pub fn compile(header: Option<&str>, threads: usize) -> Result<String, DeviceErr
 /// As [`compile`].
 pub(crate) fn compile_envs(threads: usize) -> Result<String, DeviceError> {
     compile_or_find(ENV, None, threads)
+}
+
+/// PTX of the update of the native learner.
+///
+/// # Errors
+/// As [`compile`].
+pub(crate) fn compile_update() -> Result<String, DeviceError> {
+    compile_or_find(LEARN, None, 1)
 }
 
 fn compile_or_find(program: &str, header: Option<&str>, threads: usize) -> Result<String, DeviceError> {

@@ -19,10 +19,10 @@ pub(crate) struct Gaussian {
     num_actions: usize,
     /// `[lines of an action]`, 0 beyond the actions and where the robot has none.
     pub(crate) deviation: Vec<Line>,
-    inverse: Vec<Line>,
+    pub(crate) inverse: Vec<Line>,
     /// Part of the log-density that is the same in any state: minus the sum of the deviations'
     /// logarithms, minus that of `sqrt(2 pi)`.
-    constant: f32,
+    pub(crate) constant: f32,
 }
 
 /// Hyperparameters of the surrogate loss, and the sample's part of it.

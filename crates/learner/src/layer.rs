@@ -1,6 +1,7 @@
 //! A layer of a network: its weights, forward and back.
 
 use crate::activation::Activation;
+use crate::device::DeviceLayer;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::{BLOCK, End, Matrix, Product, WeightGradient};
 
@@ -75,6 +76,11 @@ impl Layer {
     /// Lines of a row of inputs.
     pub(crate) fn input_panels(&self) -> usize {
         lines_of(width(&self.inputs))
+    }
+
+    /// Its place, for a device.
+    pub(crate) fn on_device(&self) -> DeviceLayer {
+        DeviceLayer { first: self.first, inner: self.inner, panels: self.panels(), inner_back: self.inner_transposed() }
     }
 
     fn lines(&self) -> usize {

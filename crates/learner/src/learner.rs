@@ -6,6 +6,7 @@ use std::ops::Range;
 use polypod_lanes::{Simd, SimdDispatch};
 
 use crate::bodies::Bodies;
+use crate::device::{DeviceFailure, UpdateDevice};
 use crate::gaussian::{Distributions, RANGE};
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::matrix::Matrix;
@@ -50,6 +51,9 @@ pub struct Learner {
     /// samples.
     pub(crate) mini_batch_scale: Vec<(f32, f32)>,
     pub(crate) reward_scale: Option<RewardScale>,
+    /// Device that computes updates, and why it was given up.
+    pub(crate) device: Option<Box<dyn UpdateDevice>>,
+    pub(crate) device_failure: Option<DeviceFailure>,
     iteration: u64,
     step: usize,
 }
@@ -126,6 +130,8 @@ impl Learner {
             advantage_scale: vec![(0.0, 1.0); settings.robots.len()],
             mini_batch_scale: Vec::new(),
             reward_scale: settings.options.normalize_reward_per_robot.then(|| RewardScale::new(settings.robots.len())),
+            device: None,
+            device_failure: None,
             iteration: 0,
             step: 0,
             actor,

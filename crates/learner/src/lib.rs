@@ -7,6 +7,7 @@ mod adam;
 mod arrays;
 mod attention;
 mod bodies;
+mod device;
 mod gaussian;
 mod joints;
 mod layer;
@@ -26,8 +27,13 @@ mod tree;
 mod update;
 
 pub use activation::Activation;
+pub use adam::Rates;
 pub use arrays::RolloutArrays;
+pub use device::{
+    DeviceBatch, DeviceFailure, DeviceLayer, DeviceNetwork, DevicePart, DeviceSums, DeviceUpdate, UpdateDevice,
+};
 pub use learner::{Learner, Team};
+pub use lines::{Line, WIDTH};
 pub use network::{NetworkName, NetworkState};
 pub use normalizer::Normalizer;
 pub use peers::{Peers, Worker};

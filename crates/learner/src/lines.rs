@@ -1,15 +1,16 @@
 //! Memory in lines of sixteen numbers.
 
 /// Numbers in a line.
-pub(crate) const WIDTH: usize = 16;
+pub const WIDTH: usize = 16;
 
 /// Sixteen numbers in one aligned cache line.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
-pub(crate) struct Line(pub(crate) [f32; WIDTH]);
+pub struct Line(pub [f32; WIDTH]);
 
 impl Line {
-    pub(crate) const ZERO: Self = Self([0.0; WIDTH]);
+    /// Sixteen zeros.
+    pub const ZERO: Self = Self([0.0; WIDTH]);
 
     /// Sum of its numbers, in a fixed order that lanes can follow.
     #[inline(always)]

@@ -1,6 +1,7 @@
 //! A network with its training state: statistics and the optimiser's moments.
 
 use crate::bodies::Bodies;
+use crate::device::DeviceNetwork;
 use crate::gaussian::Gaussian;
 use crate::joints::JointNetwork;
 use crate::lines::{Line, WIDTH, lines_of};
@@ -60,6 +61,13 @@ pub(crate) struct Mirror {
     pub(crate) action: Vec<(usize, f32)>,
 }
 
+impl Mirror {
+    /// Images of observations and actions, for a device.
+    pub(crate) fn on_device(&self) -> [&[(usize, f32)]; 2] {
+        [&self.observation, &self.action]
+    }
+}
+
 /// Input row of a network.
 #[derive(Clone, Copy)]
 pub(crate) struct Row<'a> {
@@ -115,6 +123,29 @@ impl Net {
             Model::Joints(joints) => Some(joints),
             Model::Perceptron(_) => None,
         }
+    }
+
+    /// Its numbers, for a device; None for a network of joints.
+    pub(crate) fn on_device(&self) -> Option<DeviceNetwork<'_>> {
+        let Model::Perceptron(perceptron) = &self.model else { return None };
+        let (layers, activation) = perceptron.on_device();
+        Some(DeviceNetwork {
+            layers,
+            activation,
+            inputs: perceptron.num_inputs(),
+            columns: self.columns.as_deref(),
+            statistics: self.normalizers.first().map(Normalizer::lines),
+            numbers: [perceptron.weights(), &self.first, &self.second],
+            first_deviation: perceptron.first_extra(),
+            num_deviations: perceptron.num_extra(),
+        })
+    }
+
+    /// Takes over weights and moments after some steps.
+    pub(crate) fn take_numbers(&mut self, [weights, first, second]: [Vec<Line>; 3], steps: u64) {
+        self.model.weights_mut().copy_from_slice(&weights);
+        (self.first, self.second, self.steps) = (first, second, steps);
+        self.model.transpose();
     }
 
     /// Deviations of the actions that are learnt as numbers; empty for a network of joints.
@@ -291,10 +322,7 @@ impl Net {
         if !lines.iter_mut().zip(from).all(|(lines, from)| self.model.import(from, lines)) {
             return false;
         }
-        let [weights, first, second] = lines;
-        self.model.weights_mut().copy_from_slice(&weights);
-        (self.first, self.second, self.steps) = (first, second, state.steps);
-        self.model.transpose();
+        self.take_numbers(lines, state.steps);
         true
     }
 }

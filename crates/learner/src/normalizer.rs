@@ -40,6 +40,11 @@ impl Normalizer {
         }
     }
 
+    /// Mean of each number, and one over its deviation, `[lines of an observation]`.
+    pub(crate) fn lines(&self) -> [&[Line]; 2] {
+        [&self.mean_lines, &self.inverse_lines]
+    }
+
     /// Line `index` of an observation, normalised.
     #[inline(always)]
     pub(crate) fn apply(&self, index: usize, line: &Line) -> Line {

@@ -1,6 +1,7 @@
 //! A multi-layer perceptron: weights by panels, forward and back over a tile of samples.
 
 use crate::activation::Activation;
+use crate::device::DeviceLayer;
 use crate::joints::JointTile;
 use crate::layer::{Layer, Room, Sort, have_sizes_of, in_order};
 use crate::lines::{Line, WIDTH, lines_of};
@@ -63,6 +64,16 @@ impl Perceptron {
         let lines: usize = self.layers.iter().map(|layer| layer.input_panels() + 2 * layer.panels()).sum();
         let rows = TILE_BYTES / (lines * size_of::<Line>()).max(1);
         (rows / BLOCK * BLOCK).clamp(LEAST_ROWS, MOST_ROWS)
+    }
+
+    /// Its layers and their activation, for a device.
+    pub(crate) fn on_device(&self) -> (Vec<DeviceLayer>, Activation) {
+        (self.layers.iter().map(Layer::on_device).collect(), self.activation)
+    }
+
+    /// Number of further numbers.
+    pub(crate) fn num_extra(&self) -> usize {
+        self.extra
     }
 
     pub(crate) fn num_inputs(&self) -> usize {

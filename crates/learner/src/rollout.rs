@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use crate::bodies::Bodies;
+use crate::device::DevicePart;
 use crate::lines::{Line, WIDTH, lines_of};
 use crate::moments::Moments;
 use crate::network::{Mirror, Net, NetworkName};
@@ -126,6 +127,21 @@ impl Part {
     /// Number of its envs.
     pub(crate) fn len(&self) -> usize {
         self.envs.len()
+    }
+
+    /// Its samples, for a device.
+    pub(crate) fn on_device(&self) -> DevicePart<'_> {
+        DevicePart {
+            robot_of: &self.robot_of,
+            observations: &self.observations,
+            actions: &self.actions,
+            means: &self.means,
+            log_probs: &self.log_probs,
+            advantages: &self.advantages,
+            returns: &self.returns,
+            values: &self.values,
+            order: &self.order,
+        }
     }
 
     /// Stores the observations before a step, `[envs, num_obs]`.

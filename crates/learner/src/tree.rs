@@ -34,6 +34,11 @@ impl Tree {
         Self::new(0..count, &|_| false)
     }
 
+    /// Number of sums that are complete with each leaf.
+    pub(crate) fn complete(&self) -> &[usize] {
+        &self.complete
+    }
+
     /// Sums the leaves.
     pub(crate) fn fold<T>(&self, leaves: impl IntoIterator<Item = T>, add: impl Fn(T, T) -> T) -> Option<T> {
         let mut waiting = Vec::new();

@@ -7,7 +7,8 @@ use polypod_lanes::{Kernel, SimdDispatch};
 
 use crate::adam::{Rates, Step};
 use crate::bodies::Bodies;
-use crate::gaussian::{Distributions, RANGE, Surrogate};
+use crate::device::{DeviceBatch, DeviceFailure, DeviceSums, UpdateDevice};
+use crate::gaussian::{Distributions, Gaussian, RANGE, Surrogate};
 use crate::joints::JointTile;
 use crate::learner::{Learner, Team, with_tile};
 use crate::lines::{Line, lines_of};
@@ -72,11 +73,28 @@ struct MiniBatch<'a> {
     weight: f32,
     /// Number of samples.
     samples: usize,
-    new: &'a Distributions,
+    policy: &'a Policy,
+}
+
+/// The policy before a step, and the advantages of its actions.
+struct Policy {
+    new: Distributions,
     /// Divergence of each distribution.
-    divergence_of_deviations: &'a [f32],
+    divergence_of_deviations: Vec<f32>,
     /// Mean and one over the deviation of the advantages, of each robot.
-    advantages: &'a [(f32, f32)],
+    advantages: Vec<(f32, f32)>,
+}
+
+impl Policy {
+    /// A robot's distribution, and its divergence.
+    fn of(&self, robot: usize) -> (&Gaussian, f32) {
+        (self.new.of(robot), self.divergence_of_deviations[self.new.index(robot)])
+    }
+
+    /// Entropy, where all robots have the same.
+    fn entropy(&self) -> Option<f64> {
+        self.new.only().map(|only| f64::from(only.entropy()))
+    }
 }
 
 /// A sample, and its mirror where its image is meant.
@@ -141,21 +159,34 @@ impl MiniBatch<'_> {
     /// added to those of the deviations.
     fn entropy_of(&self, part: &Part, deviation: &mut [Line]) -> f64 {
         let algorithm = &self.settings.options.algorithm;
-        let mut counts = vec![0usize; self.new.gaussians.len()];
+        let mut counts = vec![0usize; self.policy.new.gaussians.len()];
         for &sample in part.mini_batch(self.batch, algorithm.num_mini_batches) {
-            counts[self.new.index(part.robot_of[sample as usize % part.len()])] += 1;
+            counts[self.policy.new.index(part.robot_of[sample as usize % part.len()])] += 1;
         }
         let shares = counts.into_iter().map(|count| count as f64 / self.samples as f64);
-        self.new.gaussians.iter().zip(shares).fold(0.0, |entropy, (gaussian, share)| {
+        self.policy.new.gaussians.iter().zip(shares).fold(0.0, |entropy, (gaussian, share)| {
             gaussian.add_entropy(algorithm.entropy_coef * share as f32, deviation);
             entropy + share * f64::from(gaussian.entropy())
         })
     }
 
+    /// Begins a part's derivatives of the deviations, which are zero, with those of the entropy.
+    /// Returns the part's share of the mean entropy, where robots have different actions.
+    fn begin_deviations(&self, part: &Part, deviation: &mut [Line]) -> f64 {
+        match self.policy.new.only() {
+            None if !self.policy.new.are_of_bodies() => return self.entropy_of(part, deviation),
+            Some(only) if part.envs.start == 0 => {
+                only.add_entropy(self.settings.options.algorithm.entropy_coef, deviation);
+            }
+            _ => {}
+        }
+        0.0
+    }
+
     /// The part's gradient of the surrogate loss.
     fn actor_gradient(&self, net: &Net, part: &Part, gradient: &mut Gradient) {
         let (lines, bodies, are_of_bodies) =
-            (lines_of(self.settings.num_actions), &part.bodies[0], self.new.are_of_bodies());
+            (lines_of(self.settings.num_actions), &part.bodies[0], self.policy.new.are_of_bodies());
         let first_deviation = net.first_deviation();
         let mut images = vec![Line::ZERO; 2 * lines];
         let mut mean = vec![Line::ZERO; lines];
@@ -189,17 +220,16 @@ impl MiniBatch<'_> {
                             let (new, deviation) = tile.joints.distribution(body);
                             (new, deviation, of_deviations)
                         }
-                        false => (
-                            self.new.of(robot),
-                            &mut gradient.lines[first_deviation..],
-                            self.divergence_of_deviations[self.new.index(robot)],
-                        ),
+                        false => {
+                            let (new, of_deviations) = self.policy.of(robot);
+                            (new, &mut gradient.lines[first_deviation..], of_deviations)
+                        }
                     };
                     if mirror.is_none() {
                         gradient.divergence += f64::from(new.divergence(&mean, old_mean, of_deviations));
                         gradient.samples += 1;
                     }
-                    let (about, scale) = self.advantages[robot];
+                    let (about, scale) = self.policy.advantages[robot];
                     let surrogate = Surrogate {
                         clip: self.settings.options.algorithm.clip_param,
                         advantage: (part.advantages[sample] - about) * scale,
@@ -259,25 +289,111 @@ struct Total {
     squares: [f64; 2],
 }
 
+/// Where the mini-batches of an update are computed.
+enum Place<'a> {
+    /// On the threads of the team, with memory for the gradients of each part.
+    Host(Vec<[Gradient; 2]>),
+    /// On a device, with the deviations and the numbers of steps of its networks.
+    Device { device: &'a mut dyn UpdateDevice, deviations: Vec<Line>, steps: [u64; 2] },
+}
+
+/// Why an update ended early.
+enum Interruption {
+    Peer(LearnerError),
+    Device(DeviceFailure),
+}
+
+impl From<LearnerError> for Interruption {
+    fn from(error: LearnerError) -> Self {
+        Self::Peer(error)
+    }
+}
+
+impl From<DeviceFailure> for Interruption {
+    fn from(failure: DeviceFailure) -> Self {
+        Self::Device(failure)
+    }
+}
+
 impl Learner {
-    /// Learns from the samples of the iteration, beginning with a learning rate.
+    /// Learns from the samples of the iteration, beginning with a learning rate. Where the device
+    /// fails, the CPU makes the update.
     ///
     /// # Errors
     /// Another worker is gone.
     pub fn update(&mut self, team: &impl Team, learning_rate: f64) -> Result<Losses, LearnerError> {
+        let on_device = match self.device.take() {
+            Some(mut device) => match self.learn_on(&mut *device, team, learning_rate) {
+                Ok(losses) => {
+                    self.device = Some(device);
+                    Some(losses)
+                }
+                Err(Interruption::Peer(error)) => return Err(error),
+                Err(Interruption::Device(failure)) => {
+                    self.device_failure = Some(failure);
+                    None
+                }
+            },
+            None => None,
+        };
+        let losses = match on_device {
+            Some(losses) => losses,
+            None => self.learn_here(team, learning_rate)?,
+        };
+        self.update_normalizers(team)?;
+        Ok(losses)
+    }
+
+    /// Makes the steps of an update on the threads of the team.
+    fn learn_here(&mut self, team: &impl Team, learning_rate: f64) -> Result<Losses, LearnerError> {
+        let empty = |net: &Net| Gradient { lines: vec![Line::ZERO; net.gradient.len()], ..Gradient::default() };
+        let gradients = self.parts.iter().map(|_| [empty(&self.actor), empty(&self.critic)]).collect();
+        self.learn(&mut Place::Host(gradients), team, learning_rate).map_err(|interruption| match interruption {
+            Interruption::Peer(error) => error,
+            Interruption::Device(failure) => LearnerError::new("device", failure.0),
+        })
+    }
+
+    /// Makes the steps of an update on a device, and takes over the networks at its end.
+    fn learn_on(
+        &mut self,
+        device: &mut dyn UpdateDevice,
+        team: &impl Team,
+        learning_rate: f64,
+    ) -> Result<Losses, Interruption> {
+        let update = self.device_update().ok_or_else(|| DeviceFailure("the networks are no perceptrons".into()))?;
+        device.begin(&update)?;
+        let (deviations, steps) = (self.actor.deviations().to_vec(), [self.actor.steps, self.critic.steps]);
+        let mut place = Place::Device { device, deviations, steps };
+        let losses = self.learn(&mut place, team, learning_rate)?;
+        if let Place::Device { device, steps, .. } = place {
+            let networks = device.networks()?;
+            for ((net, numbers), steps) in [&mut self.actor, &mut self.critic].into_iter().zip(networks).zip(steps) {
+                net.take_numbers(numbers, steps);
+            }
+        }
+        Ok(losses)
+    }
+
+    /// Makes the steps of an update.
+    fn learn(&mut self, place: &mut Place, team: &impl Team, learning_rate: f64) -> Result<Losses, Interruption> {
         let algorithm = self.settings.options.algorithm.clone();
         let mut losses = Losses { learning_rate, ..Losses::default() };
-        let empty = |net: &Net| Gradient { lines: vec![Line::ZERO; net.gradient.len()], ..Gradient::default() };
-        let mut gradients: Vec<[Gradient; 2]> =
-            self.parts.iter().map(|_| [empty(&self.actor), empty(&self.critic)]).collect();
         let mini_batches = algorithm.num_mini_batches;
         for epoch in 0..algorithm.num_learning_epochs {
             for batch in 0..mini_batches {
                 let samples = self.samples_of(batch);
                 let rows = samples * self.settings.options.symmetry.rows_per_sample();
-                let entropy = self.compute_gradients(team, (epoch, batch), rows, &mut gradients);
-                let Total { sums: [surrogate, value, divergence, seen, of_samples], squares } =
-                    self.sum_gradients(team, &gradients)?;
+                let (entropy, total) = match place {
+                    Place::Host(gradients) => {
+                        let entropy = self.compute_gradients(team, (epoch, batch), rows, gradients);
+                        (entropy, self.sum_gradients(team, gradients)?)
+                    }
+                    Place::Device { device, deviations, .. } => {
+                        self.gradients_on(&mut **device, deviations, (epoch, batch), rows)?
+                    }
+                };
+                let Total { sums: [surrogate, value, divergence, seen, of_samples], squares } = total;
                 losses.surrogate += surrogate / rows as f64;
                 losses.value += value / rows as f64;
                 losses.entropy += entropy.unwrap_or(of_samples);
@@ -287,14 +403,19 @@ impl Learner {
                         losses.learning_rate = adapted(losses.learning_rate, divergence / seen, desired);
                     }
                 }
-                self.step_networks(team, squares, losses.learning_rate);
+                match place {
+                    Place::Host(_) => self.step_networks(team, squares, losses.learning_rate),
+                    Place::Device { device, deviations, steps } => {
+                        steps.iter_mut().for_each(|step| *step += 1);
+                        *deviations = device.step(self.rates(*steps, squares, losses.learning_rate))?;
+                    }
+                }
             }
         }
         let updates = (algorithm.num_learning_epochs * mini_batches) as f64;
         losses.surrogate /= updates;
         losses.value /= updates;
         losses.entropy /= updates;
-        self.update_normalizers(team)?;
         Ok(losses)
     }
 
@@ -316,26 +437,8 @@ impl Learner {
         rows: usize,
         gradients: &mut [[Gradient; 2]],
     ) -> Option<f64> {
-        let algorithm = &self.settings.options.algorithm;
-        let new = Distributions::new(self.actor.deviations(), &self.settings);
-        let pairs = new.gaussians.iter().zip(&self.old.gaussians);
-        let divergence_of_deviations: Vec<f32> = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
-        let advantages = match self.mini_batch_scale.get(batch) {
-            Some(&scale) => vec![scale; self.mirrors.len()],
-            None => self.advantage_scale.clone(),
-        };
-        let shared = MiniBatch {
-            settings: &self.settings,
-            matrix: self.matrix,
-            mirrors: &self.mirrors,
-            epoch,
-            batch,
-            weight: 1.0 / rows as f32,
-            samples: rows / self.settings.options.symmetry.rows_per_sample(),
-            new: &new,
-            divergence_of_deviations: &divergence_of_deviations,
-            advantages: &advantages,
-        };
+        let policy = self.policy(self.actor.deviations(), batch);
+        let shared = self.mini_batch((epoch, batch), rows, &policy);
         let mut tasks = Vec::with_capacity(2 * self.parts.len());
         for (part, [actor, critic]) in self.parts.iter().zip(gradients) {
             tasks.push((part, &self.actor, actor, true));
@@ -346,17 +449,74 @@ impl Learner {
             (gradient.loss, gradient.divergence, gradient.entropy, gradient.samples) = (0.0, 0.0, 0.0, 0);
             if is_actor {
                 let deviation = &mut gradient.lines[net.first_deviation()..];
-                match new.only() {
-                    None if !new.are_of_bodies() => gradient.entropy = shared.entropy_of(part, deviation),
-                    Some(only) if part.envs.start == 0 => only.add_entropy(algorithm.entropy_coef, deviation),
-                    _ => {}
-                }
+                gradient.entropy = shared.begin_deviations(part, deviation);
                 shared.actor_gradient(net, part, gradient);
             } else {
                 shared.critic_gradient(net, part, gradient);
             }
         });
-        new.only().map(|only| f64::from(only.entropy()))
+        policy.entropy()
+    }
+
+    /// The policy whose gradients are computed, as all parts see it.
+    fn policy(&self, deviations: &[Line], batch: usize) -> Policy {
+        let new = Distributions::new(deviations, &self.settings);
+        let pairs = new.gaussians.iter().zip(&self.old.gaussians);
+        let divergence_of_deviations = pairs.map(|(new, old)| new.divergence_of_deviations(old)).collect();
+        let advantages = match self.mini_batch_scale.get(batch) {
+            Some(&scale) => vec![scale; self.mirrors.len()],
+            None => self.advantage_scale.clone(),
+        };
+        Policy { new, divergence_of_deviations, advantages }
+    }
+
+    fn mini_batch<'a>(&'a self, (epoch, batch): (usize, usize), rows: usize, policy: &'a Policy) -> MiniBatch<'a> {
+        MiniBatch {
+            settings: &self.settings,
+            matrix: self.matrix,
+            mirrors: &self.mirrors,
+            epoch,
+            batch,
+            weight: 1.0 / rows as f32,
+            samples: rows / self.settings.options.symmetry.rows_per_sample(),
+            policy,
+        }
+    }
+
+    /// Computes the gradients of a mini-batch on a device; returns what
+    /// [`Learner::compute_gradients`] and [`Learner::sum_gradients`] return.
+    fn gradients_on(
+        &self,
+        device: &mut dyn UpdateDevice,
+        deviations: &[Line],
+        (epoch, batch): (usize, usize),
+        rows: usize,
+    ) -> Result<(Option<f64>, Total), Interruption> {
+        let policy = self.policy(deviations, batch);
+        let shared = self.mini_batch((epoch, batch), rows, &policy);
+        let lines = lines_of(self.settings.num_actions);
+        let mut start = vec![Line::ZERO; self.parts.len() * lines];
+        let entropies: Vec<f64> = self
+            .parts
+            .iter()
+            .zip(start.chunks_mut(lines))
+            .map(|(part, of)| shared.begin_deviations(part, of))
+            .collect();
+        let (mut inverse, mut of_robots) = (Vec::new(), Vec::new());
+        for (robot, (mean, scale)) in policy.advantages.iter().enumerate() {
+            let (new, divergence) = policy.of(robot);
+            inverse.extend_from_slice(&new.inverse);
+            of_robots.push([new.constant, divergence, *mean, *scale]);
+        }
+        let batch = DeviceBatch { epoch, batch, weight: shared.weight, inverse, of_robots, start };
+        let DeviceSums { parts, squares } = device.gradients(&batch)?;
+        let figures = |([surrogate, value, divergence, seen], entropy): ([f64; 4], f64)| {
+            vec![[surrogate, value, divergence, seen, entropy]]
+        };
+        let figures: Vec<_> = parts.into_iter().zip(entropies).map(figures).collect();
+        let sums = self.shares.sum(&*self.peers, &figures)?.first().copied().unwrap_or_default();
+        let squares = squares.map(|chunks| chunks.iter().map(|lanes| lanes.iter().sum::<f64>()).sum());
+        Ok((policy.entropy(), Total { sums, squares }))
     }
 
     /// Sums the parts' gradients of all workers into the networks' own, and what comes with them.
@@ -440,15 +600,23 @@ impl Learner {
         Ok((vec![all], sums.unwrap_or_default()))
     }
 
-    /// Limits the norms of the gradients, given their squares, and takes a step with each network.
+    /// Rates of the networks' steps of these numbers, which limit the norms of the gradients, given
+    /// their squares.
+    fn rates(&self, steps: [u64; 2], squares: [f64; 2], learning_rate: f64) -> [Rates; 2] {
+        let limit = self.settings.options.algorithm.max_grad_norm;
+        let clip = |squares: f64| (limit / (squares.sqrt() + EPSILON)).min(1.0);
+        std::array::from_fn(|net| Rates::new(learning_rate, steps[net], clip(squares[net])))
+    }
+
+    /// Takes a step with each network, given the squared norms of the gradients.
     fn step_networks(&mut self, team: &impl Team, squares: [f64; 2], learning_rate: f64) {
         let dispatch = self.dispatch;
-        let limit = self.settings.options.algorithm.max_grad_norm;
-        let mut tasks = Vec::new();
-        for (net, squares) in [&mut self.actor, &mut self.critic].into_iter().zip(squares) {
-            let norm = squares.sqrt();
+        for net in [&mut self.actor, &mut self.critic] {
             net.steps += 1;
-            let rates = Rates::new(learning_rate, net.steps, (limit / (norm + EPSILON)).min(1.0));
+        }
+        let rates = self.rates([self.actor.steps, self.critic.steps], squares, learning_rate);
+        let mut tasks = Vec::new();
+        for (net, rates) in [&mut self.actor, &mut self.critic].into_iter().zip(rates) {
             let weights = net.model.weights_mut().chunks_mut(CHUNK);
             let moments = net.first.chunks_mut(CHUNK).zip(net.second.chunks_mut(CHUNK));
             for ((weights, gradient), (first, second)) in weights.zip(net.gradient.chunks(CHUNK)).zip(moments) {

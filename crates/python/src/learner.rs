@@ -9,6 +9,7 @@ use pyo3::types::PyDict;
 
 use super::exceptions::{Guarded, to_python, unsigned, value_error, whole};
 use super::vec_sim::VecSim;
+use polypod::engine::open_update_card;
 use polypod::learner::{self, LearnerError, NetworkName, NetworkState, Normalizer, RewardScale, RolloutArrays, Worker};
 
 /// Numbers as NumPy arrays of one dimension.
@@ -197,6 +198,19 @@ impl Learner {
             ("entropy", losses.entropy),
             ("learning_rate", losses.learning_rate),
         ]))
+    }
+
+    #[doc = docstring!("Learner.use_card")]
+    fn use_card(&mut self, py: Python<'_>) -> PyResult<String> {
+        let device = py.detach(open_update_card).map_err(|error| to_python(py, error))?;
+        let name = device.name().to_owned();
+        let used = self.learner.run(py, |learner| learner.use_device(device))?;
+        used.map_err(|error| to_python(py, error.into())).map(|()| name)
+    }
+
+    #[doc = docstring!("Learner.take_card_failure")]
+    fn take_card_failure(&mut self, py: Python<'_>) -> PyResult<Option<String>> {
+        self.learner.run(py, |learner| learner.take_device_failure().map(|failure| failure.0))
     }
 
     #[doc = docstring!("Learner.set_goals")]

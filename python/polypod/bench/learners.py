@@ -16,12 +16,15 @@ from polypod import _core, provenance
 from polypod.bench.report import Progress
 from polypod.rsl_rl import VecEnv
 from polypod.runs import config, run_dir
+from polypod.training.native import CardRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 from polypod.training.session import DEFAULT_SEED, runner_of
 from polypod.training.workers import Workers
 
 CUDA = "cuda:0"
+ON_CARD = "native, CUDA, native arithmetic"
+"""Row of the update that has the bits of the CPU."""
 ITERATIONS = 3
 """Timed after one that is not."""
 
@@ -65,7 +68,12 @@ class Silent(Reporter):
 
 @contextlib.contextmanager
 def training(
-    options: Options, learner: str, device: str, precision: str = "off", workers: Workers | None = None
+    options: Options,
+    learner: str,
+    device: str,
+    precision: str = "off",
+    workers: Workers | None = None,
+    arithmetic: str = "torch",
 ) -> Iterator[Runner]:
     """A new training in a folder that goes when the context ends.
 
@@ -77,10 +85,12 @@ def training(
         device: where it does.
         precision: `mixed_precision`.
         workers: those that have the other envs; None: there are none.
+        arithmetic: of the native learner's update; with "native" a card computes it.
     """
-    train_config = config.with_run(config.load(options.train_config), num_envs=options.num_envs)
+    train_config = config.load(options.train_config)
     algorithm = dataclasses.replace(train_config.algorithm, mixed_precision=precision)
     train_config = dataclasses.replace(train_config, algorithm=algorithm)
+    train_config = config.with_run(train_config, num_envs=options.num_envs, arithmetic=arithmetic)
     kind = torch.device(device).type
     train_config = train_config.with_learner_resolved(learner, kind).with_mixed_precision_resolved(kind)
     run = train_config.run
@@ -100,7 +110,8 @@ def training(
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(env):
         path = Path(folder)
         run_dir.write_params(path, env.sim, train_config, options.robots, [], "polypod bench")
-        runner = runner_of(VecEnv(env, device, log_extras=False), train_config, path, device, Silent(), workers)
+        vec_env, wants_card = VecEnv(env, device, log_extras=False), arithmetic == "native"
+        runner = runner_of(vec_env, train_config, path, device, Silent(), workers, wants_card=wants_card)
         runner.logger.open("none", 0, print)
         yield runner
 
@@ -109,6 +120,8 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     """Seconds per iteration of every learner that this machine has, one after the other."""
     learners = [("native", "cpu", "off"), ("rsl_rl", "cpu", "off"), ("rsl_rl, bfloat16", "cpu", "auto")]
     if torch.cuda.is_available():
+        # torch's tensors stay on the CPU
+        learners.append((ON_CARD, "cpu", "off"))
         learners += [
             ("native, CUDA", CUDA, "off"),
             ("native, CUDA, bfloat16", CUDA, "on"),
@@ -117,7 +130,10 @@ def measure(options: Options, progress: Progress) -> dict[str, Any]:
     rows: dict[str, dict[str, float]] = {}
     for name, device, precision in learners:
         progress(f"{name} on {device}")
-        with training(options, name.split(",")[0], device, precision) as runner:
+        arithmetic = "native" if name == ON_CARD else "torch"
+        with training(options, name.split(",")[0], device, precision, arithmetic=arithmetic) as runner:
+            if isinstance(runner, CardRunner) and runner.card is None:
+                continue
             if precision == "auto" and runner.cfg["algorithm"]["use_mixed_precision"] is False:
                 continue
             rows[name] = _times(runner)

@@ -19,6 +19,7 @@ from polypod.runs.engines import SAME_BITS
 from polypod.runs.manifest import MAX_LAYER, Activation, check_size
 from polypod.runs.schema import (
     ALTERNATE,
+    ARITHMETICS,
     EQUALS,
     LEARNERS,
     LOSSES,
@@ -306,6 +307,7 @@ _CHOICES: tuple[tuple[str, str, tuple[Any, ...]], ...] = (
     ("algorithm", "schedule", ("adaptive", "fixed")),
     ("algorithm", "mixed_precision", ("off", "on", "auto")),
     ("run", "learner", LEARNERS),
+    ("run", "arithmetic", ARITHMETICS),
     ("run", "symmetry", (False, True, ALTERNATE)),
 )
 """Section, key and the values that it may have."""
@@ -361,6 +363,11 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
                 f"{source}: [run] task_changes: {change[:100]!r} would change what the policy sees or moves; "
                 f"begin with {', '.join(CHANGEABLE)}, or name another task"
             )
+    if run.arithmetic == "native" and algorithm.mixed_precision == "on":
+        raise _core.ConfigError(
+            f'{source}: [run] arithmetic = "native" computes in single precision, and [algorithm] mixed_precision = '
+            '"on" asks for bfloat16; set it to "off"'
+        )
     if run.normalize_advantage_per_robot and algorithm.normalize_advantage_per_mini_batch:
         raise _core.ConfigError(
             f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude "

@@ -19,6 +19,7 @@ OBSERVATION_GROUP = "policy"
 ALTERNATE = "alternate"
 """Symmetry that learns from each sample or its mirror image, in turn from epoch to epoch."""
 LEARNERS = ("auto", "native", "rsl_rl")
+ARITHMETICS = ("torch", "native")
 RNN_TYPES = ("lstm", "gru")
 LOSSES = ("mse", "huber")
 UNKNOWN_JOINTS = ("seen", "held")
@@ -62,6 +63,9 @@ class RunConfig:
     one or the other, in turn from epoch to epoch."""
     learner: str = "rsl_rl"
     """Learner: native, rsl_rl, or auto. Runs of manifests without this key are rsl_rl's."""
+    arithmetic: str = "torch"
+    """Arithmetic of the native learner's update on a GPU: "torch", or "native", which gives the
+    policy of the CPU, bit for bit."""
     task_changes: list[str] = dataclasses.field(default_factory=list)
     """Task overrides used only during training, as `key=value` of `--set`."""
     clip_actions: float | None = None
@@ -367,6 +371,11 @@ class TrainConfig:
         config = dataclasses.replace(self, run=dataclasses.replace(self.run, learner=chosen))
         if config.run.learner == "native" and why_not:
             raise _core.ConfigError(f"the native learner {why_not}; use --learner rsl_rl or auto")
+        if config.run.learner == "rsl_rl" and self.run.arithmetic == "native":
+            raise _core.ConfigError(
+                '[run] arithmetic = "native" is of the native learner, and rsl_rl learns this; leave it out, or use '
+                "--learner native"
+            )
         if config.run.learner == "rsl_rl" and config.run.symmetry == ALTERNATE and not config.can_be_graphs:
             raise _core.ConfigError(
                 f'[run] symmetry = "{ALTERNATE}" goes with neither [rnd] nor [distillation]; use symmetry = true'

@@ -149,6 +149,33 @@ class NativeRunner(Runner):
         return [normalizer for normalizer in of_model if not isinstance(normalizer, torch.nn.Identity)]
 
 
+class CardRunner(NativeRunner):
+    """A `NativeRunner` whose updates an NVIDIA card computes, with the bits of the CPU."""
+
+    card: str | None = None
+    """Name of the card; None: the CPU computes the updates."""
+
+    def _prepare(self) -> None:
+        super()._prepare()
+        self._ask_for_card()
+
+    def _ask_for_card(self) -> None:
+        try:
+            self.card = self._learner.use_card()
+        except _core.ConfigError as error:
+            self.reporter.message(f"polypod: the CPU computes the updates, with the same policy: {error}")
+
+    def _update(self, observations: TensorDict) -> dict[str, float]:
+        loss = super()._update(observations)
+        if (failure := self._learner.take_card_failure()) is not None:
+            self.reporter.message(
+                f"polypod: warning: {self.card}: {failure}; the CPU computes this update and those after it, with the "
+                "same policy"
+            )
+            self.card = None
+        return loss
+
+
 def array_of(tensor: torch.Tensor) -> np.ndarray:
     """A copy with one dimension."""
     flat: np.ndarray = tensor.detach().cpu().numpy().ravel().copy()

@@ -24,7 +24,7 @@ from polypod.runs.schema import ALTERNATE, RunConfig, TrainConfig
 from polypod.training.goal import UntilWalks, progress_line, threads_of_a_measurement
 from polypod.training.gpu import GpuRunner
 from polypod.training.graph_runner import GraphRunner
-from polypod.training.native import NativeRunner
+from polypod.training.native import CardRunner, NativeRunner
 from polypod.training.report import Reporter
 from polypod.training.runner import Runner
 from polypod.training.taught_runner import TaughtRunner
@@ -88,9 +88,12 @@ class Plan:
     overrides: list[str]
     checkpoint: Path | None
     device: str
+    """Where torch's tensors are."""
     terms: Terms | None = None
     slots: tuple[str, ...] = ()
     """Names of actions that the policy has on top of those of its robots."""
+    wants_card: bool = False
+    """Whether a card is to compute the native learner's updates in native arithmetic."""
 
 
 def train(options: Options) -> int:
@@ -208,7 +211,7 @@ def train_with(
         with _kept_if_begun(run, plan.checkpoint is None and workers.is_first):
             env.sim.set_dump_dir(run if run.is_dir() else None)
             vec_env = VecEnv(env, device, log_extras=False, clip_actions=run_config.clip_actions)
-            runner = runner_of(vec_env, plan.config, run, device, reporter, workers)
+            runner = runner_of(vec_env, plan.config, run, device, reporter, workers, wants_card=plan.wants_card)
             runner.watch, runner.goal = watch, goal
             if plan.checkpoint is not None:
                 runner.load(str(plan.checkpoint))
@@ -217,6 +220,8 @@ def train_with(
             iterations = _iterations_to_do(options, run_config, runner.current_learning_iteration)
         among = f", each of {workers.count} workers" if workers.count > 1 else ""
         learner = _learner(run_config.learner, device, vec_env.card is not None, isinstance(runner, GraphRunner))
+        if isinstance(runner, CardRunner) and runner.card is not None:
+            learner += f", its update on {runner.card} with the bits of the CPU"
         reporter.message(
             f"{env.sim.task_name}: {run_config.num_envs} envs of {', '.join(env.sim.robots)}; "
             f"simulator {env.sim.threads} threads{among}, {learner}; {run}"
@@ -351,7 +356,8 @@ def settle(
     if train_config.run.max_iterations < 1:
         raise _core.ConfigError("--max-iterations must be at least 1")
     seed = DEFAULT_SEED if options.seed is None else options.seed
-    return Plan(train_config, robots, seed, overrides, None, device, terms, tuple(slots))
+    wants_card = _wants_card(options, train_config)
+    return Plan(train_config, robots, seed, overrides, None, device, terms, tuple(slots), wants_card)
 
 
 def _resumed_plan(options: Options, workers: Workers) -> Plan:
@@ -390,7 +396,8 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
     if engine:
         overrides = [change for change in overrides if not change.startswith(ENGINE)] + engine[-1:]
     slots = tuple(manifest.get("slots", ()))
-    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms, slots)
+    wants_card = _wants_card(options, train_config)
+    return Plan(train_config, robots, seed, overrides, checkpoint, device, terms, slots, wants_card)
 
 
 def _terms_again(options: Options, manifest: dict[str, Any]) -> Terms | None:
@@ -428,6 +435,8 @@ def _iterations_to_do(options: Options, run_config: RunConfig, done: int) -> int
 
 
 def _device(options: Options, train_config: TrainConfig) -> str:
+    if train_config.run.arithmetic == "native":
+        return "cpu"  # a card computes without torch
     name, learner = options.device, options.learner or train_config.run.learner
     if name == "auto":
         share_gpus = is_among_workers() and torch.cuda.device_count() < int(os.environ.get("LOCAL_WORLD_SIZE", 1))
@@ -439,6 +448,12 @@ def _device(options: Options, train_config: TrainConfig) -> str:
     return f"cuda:{torch.cuda.current_device() if is_among_workers() else 0}"
 
 
+def _wants_card(options: Options, train_config: TrainConfig) -> bool:
+    if train_config.run.arithmetic != "native" or options.device == "cpu":
+        return False
+    return options.device != "auto" or torch.cuda.is_available()
+
+
 def runner_of(
     env: VecEnv,
     train_config: TrainConfig,
@@ -446,13 +461,16 @@ def runner_of(
     device: str,
     reporter: Reporter,
     workers: Workers | None = None,
+    *,
+    wants_card: bool = False,
 ) -> Runner:
     """Returns the runner of the config's learner, with new networks.
 
-    The learner must be resolved.
+    The learner must be resolved. `wants_card`: see `Plan`.
     """
     if train_config.run.learner == "native" and torch.device(device).type == "cpu":
-        return NativeRunner(env, train_config, run, device, reporter, workers)
+        kind = CardRunner if wants_card else NativeRunner
+        return kind(env, train_config, run, device, reporter, workers)
     # a policy that acts where the simulator's steps are: nothing of a step leaves the card. It acts
     # there as well where an engine has chosen the CPU by time, which must not decide the policy.
     is_timed = _engine(env.unwrapped.sim) == "auto" and env.could_have_card

@@ -13,7 +13,9 @@ mod whole;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use polypod_cuda::update::{Update, UpdateCard};
 use polypod_cuda::{Card, Device, DeviceError, Found, Heights};
+use polypod_learner::UpdateDevice;
 
 use super::{DivergenceRecord, Engine, EngineFactory, EngineSetup, RobotSlices, Run};
 use crate::blocks::{Block, BlockList, BlockSizes};
@@ -41,6 +43,18 @@ pub fn describe_card() -> String {
         ),
         Err(error) => format!("not used: {error}; {}", error.remedy()),
     }
+}
+
+/// The first NVIDIA card, for the updates of a learner: see [`Learner::use_device`].
+///
+/// # Errors
+/// No driver, card or compiler, or too old ones.
+///
+/// [`Learner::use_device`]: crate::learner::Learner::use_device
+pub fn open_update_card() -> Result<Box<dyn UpdateDevice>, Error> {
+    let refused =
+        |error: DeviceError| Error::argument("card", error.to_string(), "learn on the CPU, with the same bits");
+    Ok(Box::new(Update::new(UpdateCard::open().map_err(refused)?)))
 }
 
 /// Environment variable: the engine prints where the time of its steps went when it ends.

@@ -71,6 +71,19 @@ def test_drivers_since_cuda_11_take_the_text(nvrtc: Path, text: str) -> None:
     assert added == 0, log.value.decode()
 
 
+def test_the_update_rounds_every_operation_to_nearest(nvrtc: Path) -> None:
+    program, flags = ptx.programs()["learn-1.ptx"]
+    text = ptx.compile_text(nvrtc, flags=(*ptx.FLAGS, *flags), program=program)
+    assert ptx.inexact(text, has_doubles=True) == []
+    assert "in double precision" in ptx.inexact(text)[0]
+    found = ptx.operations(text)
+    for operation in ("add.rn.f32", "mul.rn.f32", "div.rn.f32", "fma.rn.f32", "sqrt.rn.f32", "add.rn.f64"):
+        assert found.get(operation, 0) > 0, operation
+    assert not any(name.startswith("fma") and name.endswith("f64") for name in found)
+    kernels = ("rows", "inputs", "product", "surrogate", "value", "chains", "weights", "total", "step")
+    assert all(f".entry polypod_learn_{kernel}(" in text for kernel in kernels)
+
+
 def test_the_extension_takes_kernels_of_this_text() -> None:
     extension = Path(_core.__file__).read_bytes()
     assert f"// {ptx.text_hash()}\n".encode() in extension

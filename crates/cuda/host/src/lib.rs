@@ -4,6 +4,8 @@
 #![warn(missing_docs)]
 #![allow(unsafe_code, reason = "the border to C")]
 
+mod update;
+
 use std::cell::UnsafeCell;
 use std::ffi::c_int;
 use std::ops::Range;
@@ -17,6 +19,8 @@ use polypod_cuda::{
     Block, DEVICE_TEXT, Device, DeviceBlock, DeviceError, DeviceRows, EnvBlock, EnvHost, EnvParts, Exchange, Parts,
     RowSizes, RowsMemory, RowsOf, Shape, Tables, TaskTables, Told,
 };
+
+pub use update::UpdateHost;
 
 /// `Block` of `device/block.h`.
 #[repr(C)]

@@ -44,7 +44,7 @@ pub struct Found {
     pub memory: usize,
 }
 
-fn context() -> Result<(Arc<CudaContext>, Found), DeviceError> {
+pub(crate) fn context() -> Result<(Arc<CudaContext>, Found), DeviceError> {
     // SAFETY: the driver's library has no initialisers that depend on this process
     if !unsafe { sys::is_culib_present() } {
         return Err(DeviceError::NoDriver);
