@@ -93,7 +93,8 @@ impl Kernels {
             Ok("common") | Err(_) => Choice::Common,
             Ok(other) => return Err(DeviceError::Kernels(other.to_owned())),
         };
-        if !nvrtc::is_present() && !(choice == Choice::Common && nvrtc::are_kernels_shipped()) {
+        let are_there = choice == Choice::Common && nvrtc::are_kernels_shipped();
+        if !are_there && !nvrtc::is_present() {
             return Err(DeviceError::NoCompiler);
         }
         Ok(Self {
