@@ -234,7 +234,7 @@ fn numbers_are_numbers() {
     );
     refused(&with_part("<inertial><mass value=\"1\"/></inertial>"), &["link \"part\"", "<inertial> lacks <inertia>"]);
     refused(&pair("revolute", "<limit lower=\"a\"/>"), &["joint \"j\", <limit lower>", "\"a\""]);
-    refused(&pair("fixed", "<origin/><origin/>"), &["<origin>", "more than once"]);
+    refused(&pair("fixed", "<origin/><origin xyz='0 0 1'/>"), &["<origin>", "more than once"]);
     refused(
         "<robot><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/></joint></robot>",
         &["joint \"j\"", "lacks <child>"],
