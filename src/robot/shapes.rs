@@ -133,10 +133,8 @@ fn box_of_inertia(inertial: &urdf_rs::Inertial, robot_size: f64) -> Option<Shape
     let origin = Pose::from_urdf(&inertial.origin);
     let most = (LONGEST[0] * robot_size).max(LONGEST[1] * origin.translation.length());
     let share = (most / longest).min(1.0);
-    (longest > 0.0 && longest <= LARGEST_LENGTH && share > 0.0).then(|| Shape {
-        geometry: Geometry::Box { size: share * size.max(DVec3::splat(THINNEST * longest)) },
-        origin,
-    })
+    (longest > 0.0 && longest <= LARGEST_LENGTH && share > 0.0)
+        .then(|| Shape { geometry: Geometry::Box { size: share * size.max(DVec3::splat(THINNEST * longest)) }, origin })
 }
 
 /// Ends the problem of a warning about a shape that is not there.

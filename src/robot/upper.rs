@@ -17,7 +17,8 @@ const LARGEST_DIFFERENCE: f64 = 0.25;
 /// A limb in the middle that reaches less far than this share of the arms is a head, whatever
 /// number of joints it has.
 const SHORT: f64 = 0.6;
-/// Joints from which a limb in the middle of a body without arms is an arm.
+/// Joints from which a limb in the middle of a body without arms is an arm, unless the body walks on
+/// two legs: its neck may have as many joints.
 const ARM_JOINTS: usize = 3;
 
 /// A limb that is no leg.
@@ -48,8 +49,13 @@ struct Measured {
 }
 
 /// The limbs whose joints are not `taken`, counterparts on the left and on the right in the same
-/// order.
-pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BTreeSet<usize>) -> Vec<UpperChain> {
+/// order, of a body on so many `legs`.
+pub(super) fn upper_chains(
+    pose: &ZeroPose<'_>,
+    chains: &[LimbChain],
+    taken: &BTreeSet<usize>,
+    legs: usize,
+) -> Vec<UpperChain> {
     let width = (0..pose.model.joints.len()).map(|joint| pose.position(joint).y.abs()).fold(0.0, f64::max);
     let free =
         |joints: &[usize]| -> Vec<usize> { joints.iter().copied().filter(|joint| !taken.contains(joint)).collect() };
@@ -72,12 +78,12 @@ pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BT
     });
     let arms = all.iter().filter(|chain| chain.partner.is_some()).map(|chain| chain.reach).fold(0.0, f64::max);
     let placed = |chain: &Measured| {
-        let is_short = chain.reach < SHORT * arms;
+        let is_neck = legs == 2 || chain.reach < SHORT * arms;
         if chain.side > 0.0 {
             (Place::Left, LimbKind::Arm)
         } else if chain.side < 0.0 {
             (Place::Right, LimbKind::Arm)
-        } else if chain.joints.len() >= ARM_JOINTS && !is_short {
+        } else if chain.joints.len() >= ARM_JOINTS && !is_neck {
             (Place::Arm, LimbKind::Arm)
         } else if chain.at.x < 0.0 && chain.at.z <= 0.1 {
             (Place::Tail, LimbKind::Tail)
