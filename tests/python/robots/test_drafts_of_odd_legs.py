@@ -6,6 +6,7 @@ import pytest
 import tomllib
 from test_new_robot import joint, link, quadruped
 
+from common import ROOT
 from polypod import _core
 from polypod.new_robot import new_robot
 
@@ -33,7 +34,9 @@ def biped():
             link(f"{side}_thigh", 0.4, (0.04, 0.04, 0.17), at=(0.0, 0.0, -0.085)),
             link(f"{side}_shank", 0.3, (0.03, 0.03, 0.17), at=(0.0, 0.0, -0.085)),
             joint(f"{side}_hip", "trunk", f"{side}_thigh", (0.0, y, -0.1), "0 1 0", limits),
-            joint(f"{side}_knee", f"{side}_thigh", f"{side}_shank", (0.0, 0.0, -0.17), "0 1 0", (-2.4, 2.4, 16.0, 28.0)),
+            joint(
+                f"{side}_knee", f"{side}_thigh", f"{side}_shank", (0.0, 0.0, -0.17), "0 1 0", (-2.4, 2.4, 16.0, 28.0)
+            ),
         ]
     return f'<robot name="wheels">{"".join(parts)}</robot>'
 
@@ -179,3 +182,21 @@ def test_boxes_of_raised_inertias_are_no_larger_than_a_robot_bears(tmp_path, mom
     assert made.standing.holds, made
     # moments of 0.3 kg as large as those of a cube of 0.6 to 1 m
     assert made.standing.height < 0.26 + 0.3
+
+
+@pytest.mark.parametrize("joints", [2, 4])
+def test_a_neck_on_two_legs_is_no_arm(tmp_path, joints):
+    """Walking birds have necks with as many joints as an arm, and no arms."""
+    tree = ElementTree.parse(ROOT / "assets/robots/berkeley_humanoid/robot.urdf")
+    parent, places = "torso", [(0.05, 0.0, 0.3), (0.0, 0.0, 0.1), (0.0, 0.0, 0.1), (0.05, 0.0, 0.0)]
+    for number, (place, axis) in enumerate(zip(places[:joints], ("0 1 0", "0 1 0", "0 0 1", "1 0 0"), strict=False)):
+        name = f"neck{number}"
+        tree.getroot().append(ElementTree.fromstring(link(name, 0.2, (0.05, 0.05, 0.1), at=(0.0, 0.0, 0.05))))
+        limits = (-0.5, 0.5, 3.0, 5.0)
+        tree.getroot().append(ElementTree.fromstring(joint(f"{name}_joint", parent, name, place, axis, limits)))
+        parent = name
+    tree.write(tmp_path / "bird.urdf")
+    draft = _core.draft_robot(tmp_path / "bird.urdf")
+    roles = tomllib.loads(draft["toml"])["joint_roles"]
+    assert draft["kind"] == "biped"
+    assert sum(slot.startswith("HEAD_") for slot in roles) == joints
