@@ -63,7 +63,7 @@ class Options:
     """Robot, policy and budget of an adaptation."""
 
     robot: str
-    """Name of a robot, path of its TOML, or path of a file of `polypod.add.sources.DESCRIPTIONS`."""
+    """Name of a robot, path of its TOML, or path of a file that describes it."""
     checkpoint: Path | None = None
     """None: the bundled policy that fits best."""
     neighbours: int = 0

@@ -17,8 +17,8 @@ const LARGEST_DIFFERENCE: f64 = 0.25;
 /// A limb in the middle that reaches less far than this share of the arms is a head, whatever
 /// number of joints it has.
 const SHORT: f64 = 0.6;
-/// Joints from which a limb in the middle of a body without arms is an arm, unless the body walks on
-/// two legs: its neck may have as many joints.
+/// Joints from which a limb in the middle of a body without arms is an arm. Necks of bodies on two
+/// legs may have as many.
 const ARM_JOINTS: usize = 3;
 
 /// A limb that is no leg.
@@ -49,7 +49,7 @@ struct Measured {
 }
 
 /// The limbs whose joints are not `taken`, counterparts on the left and on the right in the same
-/// order, of a body on so many `legs`.
+/// order. `legs` is the number of the body's legs.
 pub(super) fn upper_chains(
     pose: &ZeroPose<'_>,
     chains: &[LimbChain],
