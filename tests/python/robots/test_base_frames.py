@@ -287,7 +287,7 @@ def hexapod(kind):
 @pytest.mark.parametrize("kind", ["phantomx", "drawn"])
 @pytest.mark.parametrize("forward", ["y", "-y"])
 def test_six_legs_around_a_body_tell_which_way_is_forward(tmp_path, kind, forward):
-    """Their joints turn about all horizontal axes alike; the middle legs point to the sides."""
+    """Their joints turn about all horizontal axes; the middle legs point to the sides."""
     known = tmp_path / "known.urdf"
     known.write_text(hexapod(kind))
     right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
