@@ -18,7 +18,7 @@ const LARGEST_DIFFERENCE: f64 = 0.25;
 /// number of joints it has.
 const SHORT: f64 = 0.6;
 /// Joints from which a limb in the middle of a body without arms is an arm. Necks of bodies on two
-/// legs may have as many.
+/// legs may have as many; a spine with limbs of its own is none.
 const ARM_JOINTS: usize = 3;
 
 /// A limb that is no leg.
@@ -78,7 +78,7 @@ pub(super) fn upper_chains(
     });
     let arms = all.iter().filter(|chain| chain.partner.is_some()).map(|chain| chain.reach).fold(0.0, f64::max);
     let placed = |chain: &Measured| {
-        let is_neck = legs == 2 || chain.reach < SHORT * arms;
+        let is_neck = (legs == 2 && chain.twigs.is_empty()) || chain.reach < SHORT * arms;
         if chain.side > 0.0 {
             (Place::Left, LimbKind::Arm)
         } else if chain.side < 0.0 {
