@@ -21,10 +21,12 @@ const TOKEN: f64 = 1e-3;
 /// Thinnest side of the box of an inertia, over its longest.
 const THINNEST: f64 = 0.1;
 /// Longest side of the box of an inertia, over the robot's size and over the distance of the centre
-/// of mass from the link's frame, whichever is more: makers raise the moments of light hands until
-/// their simulators are stable. Feet reach 0.29 of the first, forearms with hands 4.2 of the
-/// second.
+/// of mass from the link's frame, whichever is more. Makers' feet reach 0.29 of the first and
+/// forearms with hands 4.2 of the second.
 const LONGEST: [f64; 2] = [0.3, 4.5];
+/// The same of a box in the place of one that is longer: makers raise the moments of light hands
+/// until their simulators are stable.
+const USUAL: [f64; 2] = [0.2, 2.5];
 /// A hull this close to that of all vertices is called the same, m.
 const MIN_DEVIATION: f64 = 5e-6;
 
@@ -132,8 +134,8 @@ fn box_of_inertia(inertial: &urdf_rs::Inertial, robot_size: f64) -> Option<Shape
     let size = squares.max(DVec3::ZERO).map(f64::sqrt);
     let longest = size.max_element();
     let origin = Pose::from_urdf(&inertial.origin);
-    let most = (LONGEST[0] * robot_size).max(LONGEST[1] * origin.translation.length());
-    let share = (most / longest).min(1.0);
+    let bound = |[of_size, of_offset]: [f64; 2]| (of_size * robot_size).max(of_offset * origin.translation.length());
+    let share = if longest > bound(LONGEST) { bound(USUAL) / longest } else { 1.0 };
     (longest > 0.0 && longest <= LARGEST_LENGTH && share > 0.0)
         .then(|| Shape { geometry: Geometry::Box { size: share * size.max(DVec3::splat(THINNEST * longest)) }, origin })
 }

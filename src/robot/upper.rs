@@ -18,7 +18,7 @@ const LARGEST_DIFFERENCE: f64 = 0.25;
 /// number of joints it has.
 const SHORT: f64 = 0.6;
 /// Joints from which a limb in the middle of a body without arms is an arm. Necks of bodies on two
-/// legs may have as many; a spine with limbs of its own is none.
+/// legs may have as many, all of them near the middle plane.
 const ARM_JOINTS: usize = 3;
 
 /// A limb that is no leg.
@@ -64,8 +64,8 @@ pub(super) fn upper_chains(
         .filter_map(|chain| measured(pose, free(&chain.joints), free(&chain.twigs), MIDDLE * width))
         .collect();
     find_partners(&mut all, width);
+    let is_near = |y: f64| y.abs() <= NEAR_MIDDLE * width;
     for chain in &mut all {
-        let is_near = |y: f64| y.abs() <= NEAR_MIDDLE * width;
         if chain.partner.is_none() && is_near(chain.at.y) && is_near(chain.centre.y) {
             chain.side = 0.0;
         }
@@ -78,7 +78,8 @@ pub(super) fn upper_chains(
     });
     let arms = all.iter().filter(|chain| chain.partner.is_some()).map(|chain| chain.reach).fold(0.0, f64::max);
     let placed = |chain: &Measured| {
-        let is_neck = (legs == 2 && chain.twigs.is_empty()) || chain.reach < SHORT * arms;
+        let is_in_the_middle = chain.joints.iter().all(|joint| is_near(pose.position(*joint).y));
+        let is_neck = (legs == 2 && is_in_the_middle) || chain.reach < SHORT * arms;
         if chain.side > 0.0 {
             (Place::Left, LimbKind::Arm)
         } else if chain.side < 0.0 {

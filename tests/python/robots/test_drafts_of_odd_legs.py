@@ -183,7 +183,7 @@ def test_boxes_of_raised_inertias_are_no_larger_than_a_robot_bears(tmp_path, mom
     assert made.standing.holds, made
     # 0.3 kg have the moments of a cube of 0.6 to 1 m; the centre of mass is 0.12 m from the knee
     sides = re.findall(r"\bc\d +on c\d: box of ([0-9.]+) x", _core.check(file, {}))
-    assert [float(side) for side in sides] == pytest.approx([4.5 * 0.12] * 4, abs=1e-3)
+    assert [float(side) for side in sides] == pytest.approx([2.5 * 0.12] * 4, abs=1e-3)
 
 
 @pytest.mark.parametrize("joints", [2, 4])
