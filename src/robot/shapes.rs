@@ -24,8 +24,8 @@ const THINNEST: f64 = 0.1;
 /// of mass from the link's frame, whichever is more. Makers' feet reach 0.29 of the first and
 /// forearms with hands 4.2 of the second.
 const LONGEST: [f64; 2] = [0.3, 4.5];
-/// The same of a box in the place of one that is longer: makers raise the moments of light hands
-/// until their simulators are stable.
+/// Longest side of a box in the place of one that is longer, over these two: makers raise the
+/// moments of light hands until their simulators are stable.
 const USUAL: [f64; 2] = [0.2, 2.5];
 /// A hull this close to that of all vertices is called the same, m.
 const MIN_DEVIATION: f64 = 5e-6;
