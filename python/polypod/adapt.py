@@ -19,6 +19,7 @@ from typing import Any, Literal
 import torch
 
 from polypod import _core, bundled, descriptions, runs, simulated, text
+from polypod.add import add, sources
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
 from polypod.new_robot import new_robot, robot_name
@@ -62,7 +63,7 @@ class Options:
     """Robot, policy and budget of an adaptation."""
 
     robot: str
-    """Name of a robot, path of its TOML, or path of a URDF."""
+    """Name of a robot, path of its TOML, or path of a file that describes it."""
     checkpoint: Path | None = None
     """None: the bundled policy that fits best."""
     neighbours: int = 0
@@ -82,9 +83,9 @@ class Options:
     threads: int | None = None
     overrides: tuple[str, ...] = ()
     package_dirs: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """Folders of the packages that a URDF names."""
+    """Folders of the packages that a robot's file names."""
     locked_joints: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """Joints of a URDF that are held, and their positions."""
+    """Joints of a robot's file that are held, and their positions."""
 
     @property
     def command(self) -> str:
@@ -147,7 +148,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
 
     Raises:
         ConfigError: for options that name nothing, and for a policy that cannot act for the robot.
-        RobotError: for a URDF that is no legged robot's.
+        RobotError: for a file that is no legged robot's.
     """
     began = time.monotonic()
     reporter = reporter or Progress()
@@ -169,7 +170,7 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     wanted = [each for each in before if each == name or walks(before[each])]
     reporter.message(f"begins with {bundled.shown(checkpoint)}: {_verdict(before, wanted)}")
     if walks(before[name]):
-        if given.suffix != URDF:
+        if not sources.is_description(options.robot):
             shutil.rmtree(run, ignore_errors=True)
         return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
     is_separate = _is_separate(options, robot, before[name])
@@ -218,9 +219,9 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
 
 
 def _start(options: Options, run: Path, reporter: Reporter) -> Start:
-    """Drafts the robot where it is a URDF, and chooses and measures the policy to begin with."""
-    is_urdf = Path(options.robot).suffix == URDF
-    robot = _draft(options, run, reporter) if is_urdf else run_dir.source(options.robot)
+    """Drafts the robot of a file, and chooses and measures the policy to begin with."""
+    is_drafted = sources.is_description(options.robot)
+    robot = _draft(options, run, reporter) if is_drafted else run_dir.source(options.robot)
     checkpoint = options.checkpoint or _fitting_policy(robot)
     run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
     manifest = run_dir.read_manifest(checkpoint)
@@ -280,17 +281,23 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
 
 
 def _draft(options: Options, run: Path, reporter: Reporter) -> str:
-    """Drafts a URDF's config next to the run, like `polypod robot new`; returns its path."""
-    folder, urdf = run / "robot", Path(options.robot)
+    """Drafts a file's config next to the run; returns its path.
+
+    URDFs are drafted like `polypod robot new`, other files like `polypod add`.
+    """
+    folder, file = run / "robot", Path(options.robot)
     folder.mkdir()
-    new = new_robot(
-        urdf,
-        folder / f"{robot_name(urdf)}.toml",
-        package_dirs=options.package_dirs,
-        locked_joints=options.locked_joints,
-    )
+    name = robot_name(file)
+    given: dict[str, Any] = {"package_dirs": options.package_dirs, "locked_joints": options.locked_joints}
+    if file.suffix == URDF:
+        new = new_robot(file, folder / f"{name}.toml", **given)
+        notes = new.notes
+    else:
+        is_taken = any(entry["name"] == name for entry in _core.robots())
+        added = add(options.robot, folder, name=f"{name}_file" if is_taken else name, **given)
+        new, notes = added.new, added.notes
     reporter.message(f"drafted {new.path}")
-    for note in new.notes:
+    for note in notes:
         reporter.message(f"  {note}")
     return run_dir.source(str(new.path))
 

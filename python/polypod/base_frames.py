@@ -49,6 +49,15 @@ BENT = 0.2
 TOES = 0.005
 """The centre of mass of a foot lies at least this far from its ankle, on the side of the toes,
 m."""
+SIX = 6
+"""Number of legs around a body, of which the middle ones point to its sides."""
+UPRIGHT = 0.7
+"""Least component of an axis along z of a joint that yaws."""
+IN_THE_MIDDLE = 0.15
+"""Largest distance of the end of a middle leg from the plane through the middle of all, over their
+largest distance from it."""
+Y_FORWARD = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+"""The axes of a frame whose x is the y of another, in the columns."""
 FARTHEST = 20.0
 """A joint as far from its robot's root, m, is given in millimetres."""
 
@@ -77,6 +86,8 @@ def upright_axes(robot: ElementTree.Element) -> Array | None:
 
     They are those that `put_upright` or `turn_upright` assume; None where neither changes anything.
     """
+    if _with_legs_ahead(robot) is not None:
+        return Y_FORWARD
     if (standing := _standing(robot)) is not None:
         _, found, up, sign = standing
         return found.upright(up, sign)
@@ -90,11 +101,16 @@ def turn_upright(robot: ElementTree.Element) -> str | None:
     """Turns the base's frame of a URDF whose joints pitch about y, and whose feet are not below.
 
     The joints fit such a frame as well as one with z up, so the feet alone tell: legs are stretched
-    in the direction down, at zero.
+    in the direction down, at zero. Six legs around a body also tell by their feet which way is
+    forward: the middle ones point to the sides.
 
     Returns:
         A line that says what was assumed; None where the axes are right or unknown.
     """
+    if (ahead := _with_legs_ahead(robot)) is not None:
+        _turn(robot, ahead, Y_FORWARD)
+        problem = "the middle ones of its six legs point along x, so y is taken for forward"
+        return f'link "{ahead.get("name")}": {problem}; let its frame have x forward and z up'
     if (standing := _standing(robot)) is None:
         return None
     link, found, up, sign = standing
@@ -180,6 +196,34 @@ def _standing(robot: ElementTree.Element) -> "tuple[ElementTree.Element, _Axes, 
         # abduction turns about the axis forward, and about none that is up
         return None
     return link, found, up, sign
+
+
+def _with_legs_ahead(robot: ElementTree.Element) -> ElementTree.Element | None:
+    """The base of a robot with six legs that yaw first, the middle ones of which point along x."""
+    link, (frames, joints) = _base(robot), _zero_pose(robot)
+    if link is None or link.get("name") not in frames:
+        return None
+    turn, place = frames[link.get("name")]
+    above = {_child(joint): _parent(joint) for joint in robot.findall("joint")}
+    yaws = {_child(joint) for joint in joints if abs((turn.T @ frames[_child(joint)][0] @ _axis(joint))[2]) > UPRIGHT}
+    turning = {_child(joint) for joint in joints}
+    ends: dict[str | None, Array] = {}
+    for end in (name for name in frames if name not in _ends(robot, "parent")):
+        chain = [end]
+        while chain[-1] in above:
+            chain.append(above[chain[-1]])
+        first = next((name for name in reversed(chain) if name in turning), None)
+        if first in yaws:
+            reach = turn.T @ (frames[end][1] - place)
+            if first not in ends or np.linalg.norm(reach[:2]) > np.linalg.norm(ends[first][:2]):
+                ends[first] = reach
+    if len(ends) != SIX:
+        return None
+    places = np.array([end[:2] for end in ends.values()])
+    apart = np.abs(places - places.mean(axis=0))
+    in_the_middle = (apart <= IN_THE_MIDDLE * apart.max()).sum(axis=0)
+    # two legs lie in the plane between left and right, and none in the one between front and back
+    return link if tuple(in_the_middle) == (0, 2) else None
 
 
 @dataclasses.dataclass(frozen=True)

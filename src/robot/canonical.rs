@@ -15,6 +15,7 @@ use super::error::{Diagnosis, RobotError, Warning, nearest_name};
 use super::formats;
 use super::merge::MAX_EXTENT;
 use super::reader::{Reader, line};
+use super::shapes::LEFT_OUT;
 use super::xml;
 use crate::bounds::Shown;
 
@@ -229,8 +230,6 @@ impl Writer<'_> {
                 "replace small shapes by a few that hold them",
             ));
         }
-        self.open("collision", &[], false);
-        self.origin(node, owner)?;
         let geometry = self.read.required_child(node, "geometry", owner)?;
         let mut shapes = geometry.children().filter(Node::is_element);
         let (shape, more) = (shapes.next(), shapes.next());
@@ -241,8 +240,19 @@ impl Writer<'_> {
                 format!("give it one of <{}>", SHAPES.join(">, <")),
             ));
         };
-        self.open("geometry", &[], false);
         let tag = shape.tag_name().name();
+        if let Some(attribute) = self.read.zero_length(shape, owner)? {
+            self.warnings.push(Warning::new(
+                self.read.file,
+                format!("{owner}, <{tag} {attribute}>"),
+                format!("a shape of length 0 touches nothing{LEFT_OUT}"),
+                "remove it, or write positive lengths in metres",
+            ));
+            return Ok(());
+        }
+        self.open("collision", &[], false);
+        self.origin(node, owner)?;
+        self.open("geometry", &[], false);
         match tag {
             "sphere" => {
                 let [radius] = self.read.lengths(shape, "radius", owner)?;

@@ -195,22 +195,24 @@ impl<'a> ZeroPose<'a> {
         if by_axes.len() == wanted {
             return by_axes;
         }
+        let grounds = self.grounds(chains);
+        let stands = |leg: &LegJoints| hangs(leg) && grounds(leg);
         if by_axes.len() > wanted {
             // an arm on the back turns about the same axes
-            let grounds = self.grounds(chains);
-            let stands = |leg: &LegJoints| hangs(leg) && grounds(leg);
             let standing = self.candidates(chains, |turning| self.by_axes(turning), stands);
             if standing.len() == wanted {
                 return standing;
             }
         }
         let stretches = |leg: &LegJoints| self.can_reach_down(leg);
-        // the last two find legs that are folded with all joints at zero
+        // the third and the fourth find legs that are folded with all joints at zero, the last one
+        // those that turn about z before they swing
         for found in [
             self.candidates(chains, by_two, hangs),
             self.candidates(chains, by_order, hangs),
             self.candidates(chains, |turning| self.by_axes(turning), stretches),
             self.candidates(chains, by_two, stretches),
+            self.candidates(chains, |turning| self.by_pitches(turning), stands),
         ] {
             if found.len() == wanted {
                 return found;
@@ -256,6 +258,13 @@ impl<'a> ZeroPose<'a> {
             }
             _ => None,
         }
+    }
+
+    /// The first two joints about y, below one about z.
+    fn by_pitches(&self, turning: &[usize]) -> Option<LegJoints> {
+        let first = turning.first().filter(|joint| self.axis(**joint).z.abs() > ALIGNED)?;
+        let mut pitches = turning.iter().copied().filter(|joint| joint != first && self.axis(*joint).y.abs() > ALIGNED);
+        Some([None, Some(pitches.next()?), Some(pitches.next()?)])
     }
 
     /// Says whether a leg of these chains stands on the ground, as [`grounded`](Self::grounded).

@@ -9,6 +9,9 @@ use super::model::JointKind;
 /// Components of an axis that differ by less are equal.
 const TIE: f64 = 0.05;
 
+/// Largest distance of a wheel's centre of mass from its axle, over the length of the link before.
+const ON_AXLE: f64 = 0.05;
+
 /// Component of an axis along the direction of its role from which the role says its sign.
 const TOLD: f64 = 0.1;
 
@@ -102,12 +105,23 @@ impl ZeroPose<'_> {
     }
 
     /// Index of a leg's wheel in its chain: the last joint, if it alone turns without limits and
-    /// about y.
+    /// about y. A joint that is not called continuous also carries a body about its axle.
     fn wheel(&self, chain: &[usize]) -> Option<usize> {
         let is_continuous = |joint: &usize| self.model.joints[*joint].kind == JointKind::Continuous;
         let (last, others) = chain.split_last()?;
-        let is_wheel = is_continuous(last) && self.turn(*last) == Turn::Pitch && !others.iter().all(is_continuous);
+        let turns = is_continuous(last) || self.is_on_an_axle(*last);
+        let is_wheel = turns && self.turn(*last) == Turn::Pitch && !others.iter().all(is_continuous);
         is_wheel.then_some(others.len())
+    }
+
+    /// Whether a joint without limits moves one link, whose centre of mass lies on the axis.
+    fn is_on_an_axle(&self, joint: usize) -> bool {
+        let (own, link) = (&self.model.joints[joint], joint + 1);
+        let is_free = own.kind == JointKind::Revolute && own.lower.is_infinite() && own.upper.is_infinite();
+        let centre = self.model.links[link].com;
+        let off = (centre - own.axis * own.axis.dot(centre)).length();
+        let length = own.origin.translation.length();
+        is_free && self.model.children(link).next().is_none() && off <= ON_AXLE * length
     }
 
     /// The horizontal axis to the left of the direction in which a leg points away from the body;

@@ -1,5 +1,6 @@
 //! Checked access to the elements and attributes of a URDF document.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use roxmltree::Node;
@@ -55,6 +56,7 @@ impl Reader<'_> {
         match self.children(node, tag)[..] {
             [] => Ok(None),
             [child] => Ok(Some(child)),
+            [first, ref others @ ..] if others.iter().all(|other| says_the_same(first, *other)) => Ok(Some(first)),
             _ => Err(self.value_error(format!("{owner}, <{tag}>"), "is there more than once", "keep one")),
         }
     }
@@ -101,6 +103,24 @@ impl Reader<'_> {
                 format!("write positive lengths in metres, of at most {MAX_EXTENT}"),
             )),
         }
+    }
+
+    /// The attribute of a sphere, box, cylinder or capsule that makes it flat: a length of 0.
+    pub fn zero_length(&self, shape: Node<'_, '_>, owner: &str) -> Result<Option<&'static str>, RobotError> {
+        let attributes: &[&'static str] = match shape.tag_name().name() {
+            "sphere" | "capsule" => &["radius"],
+            "cylinder" => &["radius", "length"],
+            "box" if self.optional_numbers::<3>(shape, "size", owner)?.is_some_and(|size| size.contains(&0.0)) => {
+                return Ok(Some("size"));
+            }
+            _ => &[],
+        };
+        for attribute in attributes {
+            if self.optional_numbers(shape, attribute, owner)? == Some([0.0]) {
+                return Ok(Some(attribute));
+            }
+        }
+        Ok(None)
     }
 
     pub fn optional_numbers<const N: usize>(
@@ -152,4 +172,13 @@ impl Reader<'_> {
 /// The line `node` starts on.
 pub(super) fn line(node: Node<'_, '_>) -> u32 {
     node.document().text_pos_at(node.range().start).row
+}
+
+/// Whether two elements have the same attributes and neither holds another element.
+fn says_the_same(one: Node<'_, '_>, other: Node<'_, '_>) -> bool {
+    let holds_none = |node: Node<'_, '_>| !node.children().any(|child| child.is_element());
+    let attributes = |node: &Node<'_, '_>| {
+        node.attributes().map(|own| (own.name().to_owned(), own.value().to_owned())).collect::<BTreeSet<_>>()
+    };
+    holds_none(one) && holds_none(other) && attributes(&one) == attributes(&other)
 }

@@ -289,7 +289,8 @@ fn add_upper_limbs(
         let joints = torso.iter().copied().zip(pose.middle_limb(torso)).collect();
         limbs.push(RawLimb { place: Place::Torso, kind: LimbKind::Torso, joints });
     }
-    for UpperChain { joints, twigs, place, kind } in upper_chains(pose, chains, taken) {
+    let legs = limbs.iter().filter(|limb| limb.kind == LimbKind::Leg).count();
+    for UpperChain { joints, twigs, place, kind } in upper_chains(pose, chains, taken, legs) {
         let roles = if place.side() == Side::Middle { pose.middle_limb(&joints) } else { pose.arm(&joints) };
         let mut joints: Vec<(usize, Role)> = joints.into_iter().zip(roles).collect();
         let of_twig = |joint: usize| match kind {

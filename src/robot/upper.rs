@@ -17,7 +17,8 @@ const LARGEST_DIFFERENCE: f64 = 0.25;
 /// A limb in the middle that reaches less far than this share of the arms is a head, whatever
 /// number of joints it has.
 const SHORT: f64 = 0.6;
-/// Joints from which a limb in the middle of a body without arms is an arm.
+/// Joints from which a limb in the middle of a body without arms is an arm. Necks of bodies on two
+/// legs may have as many, all of them near the middle plane.
 const ARM_JOINTS: usize = 3;
 
 /// A limb that is no leg.
@@ -48,8 +49,13 @@ struct Measured {
 }
 
 /// The limbs whose joints are not `taken`, counterparts on the left and on the right in the same
-/// order.
-pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BTreeSet<usize>) -> Vec<UpperChain> {
+/// order. `legs` is the number of the body's legs.
+pub(super) fn upper_chains(
+    pose: &ZeroPose<'_>,
+    chains: &[LimbChain],
+    taken: &BTreeSet<usize>,
+    legs: usize,
+) -> Vec<UpperChain> {
     let width = (0..pose.model.joints.len()).map(|joint| pose.position(joint).y.abs()).fold(0.0, f64::max);
     let free =
         |joints: &[usize]| -> Vec<usize> { joints.iter().copied().filter(|joint| !taken.contains(joint)).collect() };
@@ -58,8 +64,8 @@ pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BT
         .filter_map(|chain| measured(pose, free(&chain.joints), free(&chain.twigs), MIDDLE * width))
         .collect();
     find_partners(&mut all, width);
+    let is_near = |y: f64| y.abs() <= NEAR_MIDDLE * width;
     for chain in &mut all {
-        let is_near = |y: f64| y.abs() <= NEAR_MIDDLE * width;
         if chain.partner.is_none() && is_near(chain.at.y) && is_near(chain.centre.y) {
             chain.side = 0.0;
         }
@@ -72,12 +78,13 @@ pub(super) fn upper_chains(pose: &ZeroPose<'_>, chains: &[LimbChain], taken: &BT
     });
     let arms = all.iter().filter(|chain| chain.partner.is_some()).map(|chain| chain.reach).fold(0.0, f64::max);
     let placed = |chain: &Measured| {
-        let is_short = chain.reach < SHORT * arms;
+        let is_in_the_middle = chain.joints.iter().all(|joint| is_near(pose.position(*joint).y));
+        let is_neck = (legs == 2 && is_in_the_middle) || chain.reach < SHORT * arms;
         if chain.side > 0.0 {
             (Place::Left, LimbKind::Arm)
         } else if chain.side < 0.0 {
             (Place::Right, LimbKind::Arm)
-        } else if chain.joints.len() >= ARM_JOINTS && !is_short {
+        } else if chain.joints.len() >= ARM_JOINTS && !is_neck {
             (Place::Arm, LimbKind::Arm)
         } else if chain.at.x < 0.0 && chain.at.z <= 0.1 {
             (Place::Tail, LimbKind::Tail)

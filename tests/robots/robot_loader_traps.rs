@@ -234,7 +234,7 @@ fn numbers_are_numbers() {
     );
     refused(&with_part("<inertial><mass value=\"1\"/></inertial>"), &["link \"part\"", "<inertial> lacks <inertia>"]);
     refused(&pair("revolute", "<limit lower=\"a\"/>"), &["joint \"j\", <limit lower>", "\"a\""]);
-    refused(&pair("fixed", "<origin/><origin/>"), &["<origin>", "more than once"]);
+    refused(&pair("fixed", "<origin/><origin xyz='0 0 1'/>"), &["<origin>", "more than once"]);
     refused(
         "<robot><link name='a'/><link name='b'/><joint name='j' type='fixed'><parent link='a'/></joint></robot>",
         &["joint \"j\"", "lacks <child>"],
@@ -517,7 +517,11 @@ fn shapes_have_sizes() {
     let collision = |shape: &str| with_part(&format!("<collision><geometry>{shape}</geometry></collision>"));
     let capsule = loaded(&collision("<capsule radius='0.1' length='0.5'/>"));
     assert_eq!(capsule.bodies[0].shapes[0].geometry, Geometry::Capsule { radius: 0.1, length: 0.5 });
-    refused(&collision("<sphere radius='0'/>"), &["link \"part\", <collision>, <sphere radius>", "0"]);
+    refused(&collision("<sphere radius='-1'/>"), &["link \"part\", <collision>, <sphere radius>", "-1"]);
+    let flat = loaded(&collision("<sphere radius='0'/>"));
+    assert!(flat.bodies.is_empty());
+    let said = ["link \"part\", <collision>, <sphere radius>", "of length 0", "left out", "positive lengths"];
+    assert_words(&flat.warnings[0].to_string(), &said);
     refused(&collision("<box size='1 1 -1'/>"), &["<box size>", "-1 is no length"]);
     refused(&collision("<cylinder radius='1'/>"), &["<cylinder> lacks \"length\""]);
     refused(&collision("<ball radius='1'/>"), &["unknown shape <ball>"]);

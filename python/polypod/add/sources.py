@@ -30,6 +30,8 @@ ABOVE = 4
 Kind = Literal["urdf", "xacro", "mjcf"]
 _LICENSES = ("LICENSE*", "LICENCE*", "COPYING*", "License*", "license*")
 _ENDINGS = (".urdf", ".xml", ".mjcf", ".xacro")
+DESCRIPTIONS = (*_ENDINGS, ".zip")
+"""Endings of files that describe a robot."""
 _PACKAGES = ("robot_descriptions", "mujoco_menagerie")
 
 
@@ -51,6 +53,11 @@ class Source:
     """ROS package -> folder."""
     within: Path | None = None
     """Folder of an unpacked archive, beyond which nothing is read; None: it is no archive."""
+
+
+def is_description(name: str) -> bool:
+    """Whether a text has the ending of a file that describes a robot."""
+    return name.lower().endswith(DESCRIPTIONS)
 
 
 @contextlib.contextmanager

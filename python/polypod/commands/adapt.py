@@ -30,8 +30,8 @@ class Adapt:
     """Let a bundled policy learn to walk with one robot, in minutes."""
 
     robot: Annotated[str, tyro.conf.Positional, arg(metavar="ROBOT")]
-    """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, of which a
-    config is drafted."""
+    """Name of a robot (`polypod list robots`), path of a robot's .toml, or a .urdf, .xacro, .xml
+    (MJCF) or .zip, of which a config is drafted."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """Policy to begin with: a model_<n>.pt next to its manifest.json, the name of a run, or a
     bundled policy. Default: quadruped for four legs, legged for others."""
@@ -59,9 +59,9 @@ class Adapt:
     threads: Count = None
     """Threads of the simulator, and of the learner on the CPU. Default: one per core."""
     package_dir: PackageDirs = ()
-    """Folder of a ROS package in a URDF's `package://` names. May be repeated."""
+    """Folder of a ROS package in a file's `package://` names. May be repeated."""
     lock: Locks = ()
-    """Holds a joint of a URDF at a position, rad or m: an arm, a wheel. May be repeated."""
+    """Holds a joint of a file at a position, rad or m: an arm, a wheel. May be repeated."""
     set: Overrides = ()
     """Changes the task's configuration, or with train. before the key the train config. May be
     repeated."""
@@ -94,8 +94,9 @@ class Adapt:
 
     def _check(self) -> None:
         """Refuses what does not exist before torch is imported."""
-        is_urdf = self.robot.endswith(".urdf")
-        if not is_urdf:
+        from polypod.add.sources import is_description
+
+        if not is_description(self.robot):
             check_names(None, [self.robot])
             for flag, value in (("--package-dir", self.package_dir), ("--lock", self.lock)):
                 if value:

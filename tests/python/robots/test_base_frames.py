@@ -10,7 +10,7 @@ import tomllib
 from test_new_robot import quadruped
 
 from common import ROOT
-from polypod import _core, base_frames, urdf_copies
+from polypod import _core, base_frames, bodies, urdf_copies
 from polypod.add import add, compiling, judge
 from polypod.add import turned as upright_model
 from polypod.new_robot import new_robot
@@ -219,6 +219,7 @@ def test_a_base_frame_beside_the_middle_plane_is_moved(tmp_path, frame, robot):
 def test_robots_of_the_library_stay_as_they_are(urdf, tmp_path):
     robot = ElementTree.fromstring(urdf.read_text())
     base_frames.check_units(urdf, robot)
+    assert base_frames.turn_upright(robot) is None
     assert base_frames.put_in_the_middle(robot) is None
     if base_frames.put_upright(robot) is not None:
         # six legs that point away all around: the reader sees no better fit in the other frame
@@ -274,3 +275,36 @@ def test_a_tree_in_a_circle_is_left_to_the_reader():
     )
     assert base_frames.put_upright(robot) is None
     base_frames.check_units(Path("ring.urdf"), robot)
+
+
+def hexapod(kind):
+    """A URDF on six legs: the library's, or one that is drawn."""
+    if kind == "phantomx":
+        return (ROOT / "assets/robots/phantomx/robot.urdf").read_text()
+    return bodies.urdf(bodies.draw("hexapod", "body", np.random.default_rng(7)))
+
+
+@pytest.mark.parametrize("kind", ["phantomx", "drawn"])
+@pytest.mark.parametrize("forward", ["y", "-y"])
+def test_six_legs_around_a_body_tell_which_way_is_forward(tmp_path, kind, forward):
+    """Their joints turn about all horizontal axes; the middle legs point to the sides."""
+    known = tmp_path / "known.urdf"
+    known.write_text(hexapod(kind))
+    right = tomllib.loads(new_robot(known, tmp_path / "known.toml").path.read_text())
+    robot = ElementTree.fromstring(hexapod(kind))
+    sign = 1.0 if forward == "y" else -1.0
+    turn = np.array([[0.0, sign, 0.0], [-sign, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    base_frames._turn(robot, base_frames._base(robot), turn)
+    other = tmp_path / "other.urdf"
+    other.write_text(ElementTree.tostring(robot, encoding="unicode"))
+    with pytest.raises(_core.RobotError, match="not as many legs on the left as on the right"):
+        _core.draft_robot(other)
+    made = new_robot(other, tmp_path / "other.toml")
+    config = tomllib.loads(made.path.read_text())
+    assert made.kind == "hexapod"
+    assert made.standing.holds
+    assert config["urdf"] == "other_upright.urdf"
+    assert [note for note in made.notes if "the middle ones of its six legs point along x" in note]
+    if forward == "y":
+        assert config["joint_roles"] == right["joint_roles"]
+        assert config["default_pose"] == pytest.approx(right["default_pose"], abs=2e-3)
