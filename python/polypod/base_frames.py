@@ -8,7 +8,7 @@ plane is moved.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -204,17 +204,13 @@ def _with_legs_ahead(robot: ElementTree.Element) -> ElementTree.Element | None:
     if link is None or link.get("name") not in frames:
         return None
     turn, place = frames[link.get("name")]
-    above = {_child(joint): _parent(joint) for joint in robot.findall("joint")}
     yaws = {_child(joint) for joint in joints if abs((turn.T @ frames[_child(joint)][0] @ _axis(joint))[2]) > UPRIGHT}
     turning = {_child(joint) for joint in joints}
     ends: dict[str | None, Array] = {}
-    for end in (name for name in frames if name not in _ends(robot, "parent")):
-        chain = [end]
-        while chain[-1] in above:
-            chain.append(above[chain[-1]])
+    for chain in _chains(robot, frames):
         first = next((name for name in reversed(chain) if name in turning), None)
         if first in yaws:
-            reach = turn.T @ (frames[end][1] - place)
+            reach = turn.T @ (frames[chain[0]][1] - place)
             if first not in ends or np.linalg.norm(reach[:2]) > np.linalg.norm(ends[first][:2]):
                 ends[first] = reach
     if len(ends) != SIX:
@@ -253,13 +249,9 @@ class _Axes:
         lateral = int(shares.argmax())
         if shares[lateral] < ADVANTAGE * np.sort(shares)[1]:
             return None
-        above = {_child(joint): joint.find("parent").get("link") for joint in robot.findall("joint")}  # type: ignore[union-attr]
         turning = {_child(joint) for joint in joints}
         limbs, lengths = [], []
-        for end in (link for link in frames if link not in _ends(robot, "parent")):
-            chain = [end]
-            while chain[-1] in above:
-                chain.append(above[chain[-1]])
+        for chain in _chains(robot, frames):
             places = np.array([frames[link][1] for link in chain]) @ own
             first = max((at for at, link in enumerate(chain) if link in turning), default=None)
             if first is not None and abs(places[0, lateral]) > ASIDE:
@@ -406,6 +398,17 @@ def _zero_pose(
             if joint.get("type") in TURNING:
                 joints.append(joint)
     return frames, joints
+
+
+def _chains(robot: ElementTree.Element, links: Iterable[str | None]) -> Iterator[list[str | None]]:
+    """The links from each end of a tree to its root, the end first."""
+    above, parents = {_child(joint): _parent(joint) for joint in robot.findall("joint")}, _ends(robot, "parent")
+    for end in links:
+        if end not in parents:
+            chain = [end]
+            while chain[-1] in above:
+                chain.append(above[chain[-1]])
+            yield chain
 
 
 def _parent(joint: ElementTree.Element) -> str | None:
