@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import math
 import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,7 +23,7 @@ from polypod import _core, bundled, descriptions, runs, simulated, text
 from polypod.add import add, sources
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
-from polypod.new_robot import new_robot, robot_name
+from polypod.new_robot import NewRobot, new_robot, robot_name
 from polypod.runs import config, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
@@ -86,6 +87,8 @@ class Options:
     """Folders of the packages that a robot's file names."""
     locked_joints: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """Joints of a robot's file that are held, and their positions."""
+    legs_alone: bool = False
+    """Whether all joints of a robot's file but those of its legs are held at their default pose."""
 
     @property
     def command(self) -> str:
@@ -94,6 +97,7 @@ class Options:
         for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed"):
             if (value := getattr(self, name)) != getattr(Options, name):
                 given[f"--{name.replace('_', '-')}"] = value
+        given["--legs-alone"] = self.legs_alone
         repeated = {
             "--set": self.overrides,
             "--package-dir": map("=".join, self.package_dirs.items()),
@@ -285,21 +289,40 @@ def _draft(options: Options, run: Path, reporter: Reporter) -> str:
 
     URDFs are drafted like `polypod robot new`, other files like `polypod add`.
     """
-    folder, file = run / "robot", Path(options.robot)
+    folder = run / "robot"
     folder.mkdir()
-    name = robot_name(file)
-    given: dict[str, Any] = {"package_dirs": options.package_dirs, "locked_joints": options.locked_joints}
-    if file.suffix == URDF:
-        new = new_robot(file, folder / f"{name}.toml", **given)
-        notes = new.notes
-    else:
-        is_taken = any(entry["name"] == name for entry in _core.robots())
-        added = add(options.robot, folder, name=f"{name}_file" if is_taken else name, **given)
-        new, notes = added.new, added.notes
+    held = dict(options.locked_joints)
+    if options.legs_alone:
+        with tempfile.TemporaryDirectory() as scratch:
+            new, _ = _drafted(options, Path(scratch), held)
+            held = {**_above_legs(new.path), **held}
+    new, notes = _drafted(options, folder, held)
     reporter.message(f"drafted {new.path}")
     for note in notes:
         reporter.message(f"  {note}")
     return run_dir.source(str(new.path))
+
+
+def _drafted(options: Options, folder: Path, held: Mapping[str, float]) -> tuple[NewRobot, Sequence[str]]:
+    """Drafts a file's config in a folder, with joints held; returns it and what it assumes."""
+    file = Path(options.robot)
+    name = robot_name(file)
+    given: dict[str, Any] = {"package_dirs": options.package_dirs, "locked_joints": held}
+    if file.suffix == URDF:
+        new = new_robot(file, folder / f"{name}.toml", **given)
+        return new, new.notes
+    is_taken = any(entry["name"] == name for entry in _core.robots())
+    added = add(options.robot, folder, name=f"{name}_file" if is_taken else name, **given)
+    return added.new, added.notes
+
+
+def _above_legs(config: Path) -> dict[str, float]:
+    """Joints of a robot that are no leg's, and their default positions, rad."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[str(config)], threads=1)
+    (robot,) = simulated.robots(sim).values()
+    names, pose = robot["joint_names"], robot["default_pose"]
+    are_of_legs = zip(robot["joint_of_slot"], _core.slots_of_legs(robot["slots"]), strict=True)
+    return {names[joint]: pose[joint] for joint, is_of_leg in are_of_legs if not is_of_leg}
 
 
 def _fitting_policy(robot: str) -> Path:

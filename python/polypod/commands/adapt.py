@@ -62,6 +62,9 @@ class Adapt:
     """Folder of a ROS package in a file's `package://` names. May be repeated."""
     lock: Locks = ()
     """Holds a joint of a file at a position, rad or m: an arm, a wheel. May be repeated."""
+    legs_alone: bool = False
+    """Hold all joints of a file but those of the legs, at their default pose: with fewer joints a
+    robot with arms learns to walk sooner."""
     set: Overrides = ()
     """Changes the task's configuration, or with train. before the key the train config. May be
     repeated."""
@@ -98,7 +101,8 @@ class Adapt:
 
         if not is_description(self.robot):
             check_names(None, [self.robot])
-            for flag, value in (("--package-dir", self.package_dir), ("--lock", self.lock)):
+            flags = {"--package-dir": self.package_dir, "--lock": self.lock, "--legs-alone": self.legs_alone}
+            for flag, value in flags.items():
                 if value:
                     raise _core.ConfigError(f"{flag} is of a URDF; leave it out, or pass the URDF of {self.robot[:80]}")
         if not 0 <= self.neighbours <= MAX_NEIGHBOURS:

@@ -2,6 +2,7 @@
 
 import zipfile
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import tomllib
@@ -9,7 +10,8 @@ from test_add import fox
 from test_new_robot import quadruped
 
 import polypod
-from polypod import adapt
+from common import ROOT
+from polypod import adapt, simulated
 
 
 def mjcf(file):
@@ -20,6 +22,19 @@ def xacro(file):
     opening = '<robot xmlns:xacro="http://ros.org/wiki/xacro" name="fox"><xacro:property name="r" value="0.025"/>'
     text = quadruped().replace('<robot name="Test Fox">', opening).replace('radius="0.025"', 'radius="${r}"')
     file.write_text(text)
+
+
+def with_bent_elbows(text):
+    """The URDF with elbows that are always bent; the left one turns the other way round."""
+    tree = ElementTree.fromstring(text)
+    for name, low, high in (("left_elbow_joint", -2.0, -0.3), ("right_elbow_joint", 0.3, 2.0)):
+        joint = next(joint for joint in tree.findall("joint") if joint.get("name") == name)
+        joint.find("limit").set("lower", repr(low))
+        joint.find("limit").set("upper", repr(high))
+        if high < 0.0:
+            axis = joint.find("axis")
+            axis.set("xyz", " ".join(repr(-float(number)) for number in axis.get("xyz").split()))
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def zipped(file):
@@ -41,6 +56,37 @@ def test_a_file_is_drafted_next_to_the_run(tmp_path, name, write):
     env = polypod.make("velocity_flat", 1, robots=[robot], seed=0)
     env.reset()
     env.close()
+
+
+def test_joints_above_the_legs_are_held_where_they_stand(tmp_path):
+    text = (ROOT / "assets" / "robots" / "unitree_g1" / "robot.urdf").read_text()
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run_of_legs").mkdir()
+    file = tmp_path / "g.urdf"
+    file.write_text(with_bent_elbows(text))
+    whole = adapt._draft(adapt.Options(str(file)), tmp_path / "run", adapt.Progress())
+    legs = adapt._draft(adapt.Options(str(file), legs_alone=True), tmp_path / "run_of_legs", adapt.Progress())
+    infos = []
+    for robot in (whole, legs):
+        env = polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0)
+        infos.append(next(iter(simulated.robots(env.sim).values())))
+        env.close()
+    assert infos[0]["slot_signs"][infos[0]["slots"].index("L_ELBOW")] == -1.0
+    assert len(infos[0]["slots"]) > 12
+    assert all(slot.split("_", 1)[1].startswith(("HIP", "KNEE", "ANKLE")) for slot in infos[1]["slots"])
+    held = tomllib.loads(Path(legs).read_text())["locked_joints"]
+    for joint in infos[0]["joint_of_slot"]:
+        name = infos[0]["joint_names"][joint]
+        if name in held:
+            assert held[name] == pytest.approx(infos[0]["default_pose"][joint], abs=1e-6)
+    assert held["left_elbow_joint"] <= -0.3
+    assert held["right_elbow_joint"] >= 0.3
+
+
+def test_a_config_has_no_joints_to_hold(cli):
+    done = cli("adapt", "unitree_g1", "--legs-alone")
+    assert done.returncode == 2
+    assert "--legs-alone is of a URDF" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["nothing.xml", "nothing.urdf.xacro", "nothing.zip"])
