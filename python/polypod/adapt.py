@@ -48,6 +48,8 @@ falls is measured no further."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
+MANY_JOINTS = 26
+"""A robot that drives more joints learns with those of its legs alone."""
 EVERY, EVERY_SEPARATE = 10, 60
 """Iterations between two measurements; those of a separate network, which begins from scratch, are
 shorter and more."""
@@ -87,17 +89,17 @@ class Options:
     """Folders of the packages that a robot's file names."""
     locked_joints: Mapping[str, float] = dataclasses.field(default_factory=dict)
     """Joints of a robot's file that are held, and their positions."""
-    legs_alone: bool = False
-    """Whether all joints of a robot's file but those of its legs are held at their default pose."""
+    legs_alone: Literal["auto", "always", "never"] = "auto"
+    """Whether all joints of a robot's file but those of its legs are held at their default pose:
+    auto where it gets a separate network and has more than `MANY_JOINTS`."""
 
     @property
     def command(self) -> str:
         """The command line of these options, for the manifest."""
         given: dict[str, Any] = {"--checkpoint": self.checkpoint and bundled.shown(self.checkpoint)}
-        for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed"):
+        for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed", "legs_alone"):
             if (value := getattr(self, name)) != getattr(Options, name):
                 given[f"--{name.replace('_', '-')}"] = value
-        given["--legs-alone"] = self.legs_alone
         repeated = {
             "--set": self.overrides,
             "--package-dir": map("=".join, self.package_dirs.items()),
@@ -225,7 +227,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
 def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     """Drafts the robot of a file, and chooses and measures the policy to begin with."""
     is_drafted = sources.is_description(options.robot)
-    robot = _draft(options, run, reporter) if is_drafted else run_dir.source(options.robot)
+    legs_alone = is_drafted and options.legs_alone == "always"
+    robot = _draft(options, run, reporter, legs_alone) if is_drafted else run_dir.source(options.robot)
     checkpoint = options.checkpoint or _fitting_policy(robot)
     run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
     manifest = run_dir.read_manifest(checkpoint)
@@ -247,6 +250,15 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
         with_other = _measured(other, [robot], of_other, options)
         if walks(with_other[name]):
             checkpoint, before = other, with_other
+    if is_drafted and options.legs_alone == "auto" and _is_separate(options, robot, before[name]):
+        joints = len(_robot_of(robot)["slots"])
+        if joints > MANY_JOINTS:
+            reporter.message(
+                f"{name}: of its {joints} joints those of the legs alone move; --legs-alone never moves all"
+            )
+            robot = _draft(options, run, reporter, legs_alone=True)
+            changes = _changes(manifest, robot, name, near[:1], options.overrides)
+            before = _measured(checkpoint, [robot], changes, options, GLANCE)
     return Start(name, robot, near[:1], neighbours, checkpoint, changes, before)
 
 
@@ -284,15 +296,15 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     return of_run, session.settle(of_run, train_config, changes, robots=robots, slots=slots)
 
 
-def _draft(options: Options, run: Path, reporter: Reporter) -> str:
+def _draft(options: Options, run: Path, reporter: Reporter, legs_alone: bool) -> str:
     """Drafts a file's config next to the run; returns its path.
 
     URDFs are drafted like `polypod robot new`, other files like `polypod add`.
     """
-    folder = run / "robot"
+    folder = run / ("legs_alone" if legs_alone else "robot")
     folder.mkdir()
     held = dict(options.locked_joints)
-    if options.legs_alone:
+    if legs_alone:
         with tempfile.TemporaryDirectory() as scratch:
             new, _ = _drafted(options, Path(scratch), held)
             held = {**_above_legs(new.path), **held}
@@ -318,17 +330,22 @@ def _drafted(options: Options, folder: Path, held: Mapping[str, float]) -> tuple
 
 def _above_legs(config: Path) -> dict[str, float]:
     """Joints of a robot that are no leg's, and their default positions, rad."""
-    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[str(config)], threads=1)
-    (robot,) = simulated.robots(sim).values()
+    robot = _robot_of(str(config))
     names, pose = robot["joint_names"], robot["default_pose"]
     are_of_legs = zip(robot["joint_of_slot"], _core.slots_of_legs(robot["slots"]), strict=True)
     return {names[joint]: pose[joint] for joint, is_of_leg in are_of_legs if not is_of_leg}
 
 
+def _robot_of(source: str) -> simulated.RobotInfo:
+    """Numbers of a robot, by its name or the path of its config."""
+    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[source], threads=1)
+    (robot,) = simulated.robots(sim).values()
+    return robot
+
+
 def _fitting_policy(robot: str) -> Path:
     """The bundled policy to begin with, by the number of legs."""
-    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
-    (info,) = simulated.robots(sim).values()
+    info = _robot_of(robot)
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
 
 
@@ -339,8 +356,7 @@ def _other_policy(checkpoint: Path) -> Path | None:
 
 def _set_of_two_legs(robot: str) -> str | None:
     """The reward set in units of the body of a robot on two legs; None for other numbers."""
-    sim = _core.VecSim(_core.play_task(descriptions.TASK), 1, robots=[robot], threads=1)
-    (info,) = simulated.robots(sim).values()
+    info = _robot_of(robot)
     if len(info["legs"]) != 2:
         return None
     return "two_legs" if any("_ANKLE_PITCH" in slot for slot in info["slots"]) else "two_points"

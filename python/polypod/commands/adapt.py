@@ -62,9 +62,9 @@ class Adapt:
     """Folder of a ROS package in a file's `package://` names. May be repeated."""
     lock: Locks = ()
     """Holds a joint of a file at a position, rad or m: an arm, a wheel. May be repeated."""
-    legs_alone: bool = False
-    """Hold all joints of a file but those of the legs, at their default pose: with fewer joints a
-    robot with arms learns to walk sooner."""
+    legs_alone: Literal["auto", "always", "never"] = "auto"
+    """Hold all joints of a file but those of the legs, at their default pose. auto: of a robot with
+    more than 26 joints that gets a separate network, which learns to walk sooner with fewer."""
     set: Overrides = ()
     """Changes the task's configuration, or with train. before the key the train config. May be
     repeated."""
@@ -101,7 +101,7 @@ class Adapt:
 
         if not is_description(self.robot):
             check_names(None, [self.robot])
-            flags = {"--package-dir": self.package_dir, "--lock": self.lock, "--legs-alone": self.legs_alone}
+            flags = {"--package-dir": self.package_dir, "--lock": self.lock, "--legs-alone": self.legs_alone != "auto"}
             for flag, value in flags.items():
                 if value:
                     raise _core.ConfigError(f"{flag} is of a URDF; leave it out, or pass the URDF of {self.robot[:80]}")

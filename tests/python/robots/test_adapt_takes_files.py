@@ -50,7 +50,7 @@ def test_a_file_is_drafted_next_to_the_run(tmp_path, name, write):
     pytest.importorskip("xacro" if write is xacro else "mujoco")
     write(tmp_path / name)
     (tmp_path / "run").mkdir()
-    robot = adapt._draft(adapt.Options(str(tmp_path / name)), tmp_path / "run", adapt.Progress())
+    robot = adapt._draft(adapt.Options(str(tmp_path / name)), tmp_path / "run", adapt.Progress(), legs_alone=False)
     assert robot.startswith(str(tmp_path / "run" / "robot"))
     assert "LF_HAA" in tomllib.loads(Path(robot).read_text())["default_pose"]
     env = polypod.make("velocity_flat", 1, robots=[robot], seed=0)
@@ -61,11 +61,12 @@ def test_a_file_is_drafted_next_to_the_run(tmp_path, name, write):
 def test_joints_above_the_legs_are_held_where_they_stand(tmp_path):
     text = (ROOT / "assets" / "robots" / "unitree_g1" / "robot.urdf").read_text()
     (tmp_path / "run").mkdir()
-    (tmp_path / "run_of_legs").mkdir()
     file = tmp_path / "g.urdf"
     file.write_text(with_bent_elbows(text))
-    whole = adapt._draft(adapt.Options(str(file)), tmp_path / "run", adapt.Progress())
-    legs = adapt._draft(adapt.Options(str(file), legs_alone=True), tmp_path / "run_of_legs", adapt.Progress())
+    whole, legs = (
+        adapt._draft(adapt.Options(str(file)), tmp_path / "run", adapt.Progress(), legs_alone)
+        for legs_alone in (False, True)
+    )
     infos = []
     for robot in (whole, legs):
         env = polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0)
@@ -84,7 +85,7 @@ def test_joints_above_the_legs_are_held_where_they_stand(tmp_path):
 
 
 def test_a_config_has_no_joints_to_hold(cli):
-    done = cli("adapt", "unitree_g1", "--legs-alone")
+    done = cli("adapt", "unitree_g1", "--legs-alone", "always")
     assert done.returncode == 2
     assert "--legs-alone is of a URDF" in done.stderr
 
