@@ -162,7 +162,7 @@ _POLYPOD: dict[str, tuple[Line, dict[str, list[str]]]] = {
         {"": [*NAMES, *FILES], "--checkpoint": FILES, "--neighbours": [*COUNTS[:5], "1001"], "--every": COUNTS[:11]}
         | {"--max-minutes": FLOATS, "--train-config": [*NAMES, *FILES], "--seed": _SEEDS, "--log-dir": OUTPUTS}
         | {"--device": NAMES, "--threads": COUNTS, "--set": OVERRIDES, "--package-dir": _PACKAGES, "--lock": _LOCKS}
-        | {"--separate": NAMES},
+        | {"--separate": NAMES, "--legs-alone": NAMES},
     ),
     "train resume": (
         ("--resume", "latest"),
