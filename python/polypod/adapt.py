@@ -227,8 +227,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
 def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     """Drafts the robot of a file, and chooses and measures the policy to begin with."""
     is_drafted = sources.is_description(options.robot)
-    legs_alone = is_drafted and options.legs_alone == "always"
-    robot = _draft(options, run, reporter, legs_alone) if is_drafted else run_dir.source(options.robot)
+    above = _above_legs_of_file(options) if is_drafted and options.legs_alone == "always" else {}
+    robot = _draft(options, run, reporter, above) if is_drafted else run_dir.source(options.robot)
     checkpoint = options.checkpoint or _fitting_policy(robot)
     run_dir.load_checkpoint(checkpoint)  # a broken one is refused by its name
     manifest = run_dir.read_manifest(checkpoint)
@@ -256,7 +256,7 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
             reporter.message(
                 f"{name}: of its {joints} joints those of the legs alone move; --legs-alone never moves all"
             )
-            robot = _draft(options, run, reporter, legs_alone=True)
+            robot = _draft(options, run, reporter, _above_legs(robot))
             changes = _changes(manifest, robot, name, near[:1], options.overrides)
             before = _measured(checkpoint, [robot], changes, options, GLANCE)
     return Start(name, robot, near[:1], neighbours, checkpoint, changes, before)
@@ -296,19 +296,15 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     return of_run, session.settle(of_run, train_config, changes, robots=robots, slots=slots)
 
 
-def _draft(options: Options, run: Path, reporter: Reporter, legs_alone: bool) -> str:
+def _draft(options: Options, run: Path, reporter: Reporter, above: Mapping[str, float]) -> str:
     """Drafts a file's config next to the run; returns its path.
 
-    URDFs are drafted like `polypod robot new`, other files like `polypod add`.
+    URDFs are drafted like `polypod robot new`, other files like `polypod add`. `above` are joints
+    above the legs that are held, and their positions.
     """
-    folder = run / ("legs_alone" if legs_alone else "robot")
+    folder = run / ("legs_alone" if above else "robot")
     folder.mkdir()
-    held = dict(options.locked_joints)
-    if legs_alone:
-        with tempfile.TemporaryDirectory() as scratch:
-            new, _ = _drafted(options, Path(scratch), held)
-            held = {**_above_legs(new.path), **held}
-    new, notes = _drafted(options, folder, held)
+    new, notes = _drafted(options, folder, {**above, **options.locked_joints})
     reporter.message(f"drafted {new.path}")
     for note in notes:
         reporter.message(f"  {note}")
@@ -328,9 +324,16 @@ def _drafted(options: Options, folder: Path, held: Mapping[str, float]) -> tuple
     return added.new, added.notes
 
 
-def _above_legs(config: Path) -> dict[str, float]:
+def _above_legs_of_file(options: Options) -> dict[str, float]:
+    """`_above_legs` of a file that is not drafted yet."""
+    with tempfile.TemporaryDirectory() as scratch:
+        new, _ = _drafted(options, Path(scratch), options.locked_joints)
+        return _above_legs(str(new.path))
+
+
+def _above_legs(source: str) -> dict[str, float]:
     """Joints of a robot that are no leg's, and their default positions, rad."""
-    robot = _robot_of(str(config))
+    robot = _robot_of(source)
     names, pose = robot["joint_names"], robot["default_pose"]
     are_of_legs = zip(robot["joint_of_slot"], _core.slots_of_legs(robot["slots"]), strict=True)
     return {names[joint]: pose[joint] for joint, is_of_leg in are_of_legs if not is_of_leg}

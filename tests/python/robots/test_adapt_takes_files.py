@@ -50,7 +50,7 @@ def test_a_file_is_drafted_next_to_the_run(tmp_path, name, write):
     pytest.importorskip("xacro" if write is xacro else "mujoco")
     write(tmp_path / name)
     (tmp_path / "run").mkdir()
-    robot = adapt._draft(adapt.Options(str(tmp_path / name)), tmp_path / "run", adapt.Progress(), legs_alone=False)
+    robot = adapt._draft(adapt.Options(str(tmp_path / name)), tmp_path / "run", adapt.Progress(), {})
     assert robot.startswith(str(tmp_path / "run" / "robot"))
     assert "LF_HAA" in tomllib.loads(Path(robot).read_text())["default_pose"]
     env = polypod.make("velocity_flat", 1, robots=[robot], seed=0)
@@ -63,10 +63,10 @@ def test_joints_above_the_legs_are_held_where_they_stand(tmp_path):
     (tmp_path / "run").mkdir()
     file = tmp_path / "g.urdf"
     file.write_text(with_bent_elbows(text))
-    whole, legs = (
-        adapt._draft(adapt.Options(str(file)), tmp_path / "run", adapt.Progress(), legs_alone)
-        for legs_alone in (False, True)
-    )
+    options = adapt.Options(str(file))
+    above = adapt._above_legs_of_file(options)
+    whole, legs = (adapt._draft(options, tmp_path / "run", adapt.Progress(), held) for held in ({}, above))
+    assert above == adapt._above_legs(whole)
     infos = []
     for robot in (whole, legs):
         env = polypod.make("velocity_flat_legged", 1, robots=[robot], seed=0)

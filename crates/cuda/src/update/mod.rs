@@ -649,7 +649,7 @@ impl<M: Machine> Update<M> {
     }
 }
 
-/// The text of an error, with its remedy.
+/// The text of an error; the CPU goes on, so that there is no remedy to name.
 fn failure(error: DeviceError) -> DeviceFailure {
     DeviceFailure(error.to_string())
 }
