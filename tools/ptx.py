@@ -173,6 +173,24 @@ def programs() -> dict[str, tuple[str, tuple[str, ...]]]:
     return {**files, "learn-1.ptx": (UPDATE, ("-DLANES=1",))}
 
 
+def compiled(arch: str = "compute_80") -> dict[str, str]:
+    """PTX of all programs for an architecture, by the files of :func:`programs`.
+
+    Raises :class:`NvrtcError` if NVRTC is missing or refuses the text.
+    """
+    library = find_nvrtc()
+    return {
+        name: compile_text(library, arch, (*FLAGS, *flags), program=program)
+        for name, (program, flags) in programs().items()
+    }
+
+
+def all_inexact(made: dict[str, str]) -> list[str]:
+    """:func:`inexact` of all programs, by their files."""
+    of_update = {name for name, (program, _) in programs().items() if program == UPDATE}
+    return [problem for name, ptx in made.items() for problem in inexact(ptx, has_doubles=name in of_update)]
+
+
 def write_package() -> list[str]:
     """Writes the PTX that a wheel ships; returns what is wrong with it.
 
@@ -181,14 +199,11 @@ def write_package() -> list[str]:
     PACKAGE.mkdir(exist_ok=True)
     for old in PACKAGE.glob("*.ptx"):
         old.unlink()
-    library = find_nvrtc()
-    problems = []
-    for name, (program, flags) in programs().items():
-        ptx = compile_text(library, flags=(*FLAGS, *flags), program=program)
-        problems += inexact(ptx, has_doubles=program == UPDATE)
-        (PACKAGE / name).write_text(f"// {text_hash()}\n{ptx}// end\n", encoding="utf-8", newline="\n")
+    made, made_of = compiled(), text_hash()
+    for name, ptx in made.items():
+        (PACKAGE / name).write_text(f"// {made_of}\n{ptx}// end\n", encoding="utf-8", newline="\n")
         print(f"{PACKAGE / name}: {len(ptx)} bytes")
-    return problems
+    return all_inexact(made)
 
 
 def write_step(arch: str, out: Path) -> list[str]:
@@ -196,14 +211,10 @@ def write_step(arch: str, out: Path) -> list[str]:
 
     Raises :class:`NvrtcError` if NVRTC is missing or refuses the text.
     """
-    library = find_nvrtc()
-    made = [
-        (program, compile_text(library, arch, (*FLAGS, *flags), program=program))
-        for program, flags in programs().values()
-    ]
-    problems = [problem for program, ptx in made for problem in inexact(ptx, has_doubles=program == UPDATE)]
-    (_, step), *_ = made
+    made = compiled(arch)
+    problems = all_inexact(made)
     if not problems:
+        step = next(iter(made.values()))
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(step, encoding="utf-8")
         print(f"{out}: {len(step)} bytes for {arch}")

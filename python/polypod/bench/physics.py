@@ -13,7 +13,7 @@ physics steps as one graph.
 
 import importlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -92,7 +92,7 @@ def rollout(name: str, num_envs: int, threads: int, seed: int, iterations: int |
         np.copyto(state, out[:, -1])
         return num_envs * HOLD
 
-    return _settled(sample, state, name)
+    return _settled(sample, lambda: state, name)
 
 
 def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
@@ -124,7 +124,7 @@ def batch(name: str, num_envs: int, threads: int, seed: int) -> Sample | None:
         simulations.step(nstep=HOLD)
         return num_envs * HOLD
 
-    return _settled(sample, simulations.state, name)
+    return _settled(sample, lambda: simulations.state, name)
 
 
 def warp(name: str, num_envs: int, seed: int, device: str | None = None) -> Sample | None:
@@ -180,9 +180,7 @@ def warp(name: str, num_envs: int, seed: int, device: str | None = None) -> Samp
         wp.synchronize_device(place)
         return num_envs * HOLD
 
-    for _ in range(SETTLE):
-        sample()
-    _refuse_not_finite(data.qpos.numpy(), name)
+    _settled(sample, data.qpos.numpy, name)
     if data.overflow.numpy().any():
         raise _core.ConfigError(f"MuJoCo Warp has too little room for the contacts of {name}: compare another --robot")
     return sample
@@ -201,20 +199,16 @@ def _mujoco(name: str, iterations: int | None) -> tuple[Any, robots.Robot, Refer
     return mj, robot, reference, _actuator_order(reference.model, robot.joint_names)
 
 
-def _settled(sample: Sample, state: Array, name: str) -> Sample:
+def _settled(sample: Sample, state: Callable[[], Array], name: str) -> Sample:
     """The sample after `SETTLE` calls.
 
     Raises ConfigError where MuJoCo's state is not finite then.
     """
     for _ in range(SETTLE):
         sample()
-    _refuse_not_finite(state, name)
-    return sample
-
-
-def _refuse_not_finite(state: Array, name: str) -> None:
-    if not np.isfinite(state).all():
+    if not np.isfinite(state()).all():
         raise _core.ConfigError(f"MuJoCo diverged on {name}: the comparison would mean nothing")
+    return sample
 
 
 def _standard_solver(mj: Any, model: Any, name: str, iterations: int | None) -> None:
