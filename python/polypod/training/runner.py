@@ -30,7 +30,7 @@ from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.symmetry import Mirror
 from polypod.training.teachers import ManyTeachers
-from polypod.training.transfer import critic_for, numbers_of, numbers_of_run
+from polypod.training.transfer import numbers_of, numbers_of_run, perceptron_for
 from polypod.training.workers import Workers, slow_workers
 
 STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]
@@ -561,7 +561,7 @@ class Runner(OnPolicyRunner):
         is_known = (path.parent / run_dir.MANIFEST).is_file()
         known = numbers_of_run(run_dir.read_manifest(path), groups) if is_known else None
         wanted = numbers_of(sim, groups)
-        moved = None if known is None else critic_for(other, known, own, wanted)
+        moved = None if known is None else perceptron_for(other, known, own, wanted)
         if moved is None:
             self.reporter.message(
                 f"polypod: {path}: its critic is for other bodies or terms; a new one learns from here on"

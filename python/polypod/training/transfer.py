@@ -1,4 +1,4 @@
-"""Transfer of a critic to other bodies: columns of its first layer follow their numbers."""
+"""Transfer of a perceptron to other bodies: columns of its first layer follow their numbers."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -18,22 +18,26 @@ Number = tuple[str, str, int, str]
 belongs to."""
 
 
-def numbers_of(sim: _core.VecSim, groups: Sequence[str]) -> list[Number]:
-    """The numbers of observation groups side by side, in order."""
-    slots, feet = sim.canonical_joint_names, sim.feet_names
+def numbers_of(sim: _core.VecSim, groups: Sequence[str], slots: Sequence[str] | None = None) -> list[Number]:
+    """The numbers of observation groups side by side, in order.
+
+    `slots` are those of another simulation of the same terms; None: the simulation's.
+    """
+    own = sim.canonical_joint_names
+    owners_of = {"per_joint": (own, own if slots is None else slots), "per_foot": (sim.feet_names, sim.feet_names)}
     numbers: list[Number] = []
     for group in groups:
         for term in terms_of(sim, group):
-            owners = {"per_joint": slots, "per_foot": feet}.get(term.kind, [])
-            if not owners or term.size % len(owners):
+            here, owners = owners_of.get(term.kind, ([], []))
+            if not here or term.size % len(here):
                 numbers += [(group, term.term, place, "") for place in range(term.size)]
                 continue
-            for row in range(term.size // len(owners)):
+            for row in range(term.size // len(here)):
                 numbers += [(group, term.term, row, owner) for owner in owners]
     return numbers
 
 
-def critic_for(
+def perceptron_for(
     old: Mapping[str, torch.Tensor], of: Sequence[Number], own: Mapping[str, torch.Tensor], wanted: Sequence[Number]
 ) -> dict[str, torch.Tensor] | None:
     """The state of a perceptron for other numbers; equal outputs where new ones are absent.
@@ -66,17 +70,34 @@ def critic_for(
     return moved
 
 
-def numbers_of_run(manifest: Mapping[str, Any], groups: Sequence[str]) -> list[Number] | None:
-    """`numbers_of` for a manifest's training; None if task or robots are not on this machine."""
-    robots = manifest["robot_sources"]
-    try:
-        sim = _core.VecSim(
-            manifest["task"],
-            len(robots),
-            robots=list(robots),
-            threads=1,
-            overrides=for_one_env_each(manifest["overrides"]),
-        )
-        return numbers_of(sim, groups)
-    except _core.PolypodError:
-        return None
+def numbers_of_run(
+    manifest: Mapping[str, Any], groups: Sequence[str], stand_ins: Sequence[str] = ()
+) -> list[Number] | None:
+    """`numbers_of` for a manifest's training.
+
+    Args:
+        manifest: of the training.
+        groups: observation groups.
+        stand_ins: robots with as many legs, which are simulated where the training's robots are not
+            on this machine.
+
+    Returns:
+        None where neither can be simulated in the training's task.
+    """
+    slots, sources = list(manifest["canonical_joint_names"]), list(manifest["robot_sources"])
+    for robots in filter(None, (sources, list(stand_ins))):
+        # changes of robots that are not here name nothing
+        changes = manifest["overrides"] if robots is sources else without_robots(manifest["overrides"])
+        try:
+            sim = _core.VecSim(
+                manifest["task"], len(robots), robots=robots, threads=1, overrides=for_one_env_each(changes)
+            )
+            return numbers_of(sim, groups, slots)
+        except _core.PolypodError:
+            continue
+    return None
+
+
+def without_robots(overrides: Sequence[str]) -> list[str]:
+    """`key=value` pairs of a task without those of single robots."""
+    return [change for change in overrides if not change.startswith(("robot_overrides.", "env_shares."))]

@@ -19,6 +19,7 @@ from polypod.motions.tracking import terms_of_task
 from polypod.networks.policies import NetworkPolicy, load_network
 from polypod.new_robot import new_robot
 from polypod.runs import config, run_dir
+from polypod.training import growth
 from polypod.training.transfer import numbers_of
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
@@ -278,9 +279,11 @@ def test_a_grown_perceptron_moves_the_joints_as_before(made, tmp_path, monkeypat
     """Solo 12's teacher with Spot's joints, action scale and description."""
     monkeypatch.setenv("POLYPOD_PATH", str(ROOT / "lab" / "recipes" / "wide"))
     task = "velocity_flat_wide_teacher"
-    grown.grow(made[1] / "teacher" / "model.pt", task, ["spot"], [], tmp_path / "grown.pt")
+    (tmp_path / "wide.toml").write_text(f'extends = "teacher"\n[run]\ntask = "{task}"\n')
+    grown.grow(made[1] / "teacher" / "model.pt", str(tmp_path / "wide.toml"), ["spot"], tmp_path / "grown.pt")
     manifest = json.loads((made[1] / "teacher" / "manifest.json").read_text())
-    before, after = grown.simulation(manifest), _core.VecSim(task, 1, robots=["spot"], threads=1)
+    before = _core.VecSim(manifest["task"], 1, robots=["solo12"], threads=1)
+    after = _core.VecSim(task, 1, robots=["spot"], threads=1)
     known, wanted = (numbers_of(sim, ["policy"]) for sim in (before, after))
     seen = np.random.default_rng(1).standard_normal(len(wanted)).astype(np.float32)
     scale = 0.25 / 0.2
@@ -291,7 +294,7 @@ def test_a_grown_perceptron_moves_the_joints_as_before(made, tmp_path, monkeypat
     old_net, new_net = load_network(file, manifest["policy"]), load_network(new, policy)
     old = NetworkPolicy(old_net, len(known))(np.array([told], dtype=np.float32))
     assert NetworkPolicy(new_net, len(wanted))(seen[None]) == pytest.approx(old * scale, rel=1e-3, abs=1e-4)
-    assert float(new["actor_state_dict"]["distribution.std_param"].min()) >= grown.LEAST_STD
+    assert float(new["actor_state_dict"]["distribution.std_param"].min()) >= growth.LEAST_STD
 
 
 def test_iterations_take_the_place_of_the_plans(made, tmp_path):

@@ -16,7 +16,7 @@ from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
 from polypod.runs import config, run_dir
 from polypod.training import goal, session
-from polypod.training.transfer import critic_for, numbers_of
+from polypod.training.transfer import numbers_of, perceptron_for
 from polypod.training.workers import Workers
 
 CONFIG = """
@@ -427,7 +427,7 @@ def test_a_critic_goes_on_for_another_body():
         return {**state, **moments}
 
     old, own = network(len(of)), network(len(wanted))
-    moved = critic_for(old, of, own, wanted)
+    moved = perceptron_for(old, of, own, wanted)
     values = dict(zip(wanted, np.random.default_rng(0).standard_normal(len(wanted)), strict=True))
 
     def value(state, numbers):
@@ -438,4 +438,4 @@ def test_a_critic_goes_on_for_another_body():
 
     assert value(moved, wanted) == pytest.approx(value(old, of), rel=1e-4)
     # networks of other sizes start again
-    assert critic_for({**old, "mlp.2.weight": torch.zeros(1, 5)}, of, own, wanted) is None
+    assert perceptron_for({**old, "mlp.2.weight": torch.zeros(1, 5)}, of, own, wanted) is None

@@ -1,0 +1,142 @@
+"""Perceptrons that begin with those of another training, for other numbers and joints.
+
+Columns of the first layer follow their numbers: observation term, place and slot. Rows of the last
+layer follow their slots. Weights of new numbers are 0, and new joints begin still, so that the
+others move as before. Checkpoint and manifest are enough: the robots of the training need not be on
+this machine.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from polypod import _core, simulated
+from polypod.arrays import Floats
+from polypod.runs import config, run_dir
+from polypod.runs.schema import TrainConfig
+from polypod.training.transfer import FIRST_LAYER, MOMENTS, Number, numbers_of, numbers_of_run, perceptron_for
+
+SAMPLES = 512
+"""Envs whose numbers give mean and deviation of new ones."""
+LEAST_STD = 0.25
+"""Least deviation of the actions that a grown policy explores with."""
+FLOOR = 0.02
+"""Added to the deviations of new numbers, many of which are 0 after a reset."""
+MOST_SEEN = 500_000
+"""Samples that the moments of the observation stand for, at most, so that those of the new robots
+count after some tens of iterations."""
+ACTIONS = "last_action"
+STD, COUNT = "distribution.std_param", "obs_normalizer.count"
+
+
+def grow(checkpoint: Path, sim: _core.VecSim, robots: Sequence[str], train_config: TrainConfig) -> dict[str, Any]:
+    """The networks of a checkpoint for another training.
+
+    Actions are in units of a robot's action scale. They keep their size in rad where the
+    checkpoint's robots share a scale and the new ones, too, and else their number. A manifest
+    without `robot_info` counts as of the new scale.
+
+    Args:
+        checkpoint: of a perceptron, next to its manifest.
+        sim: task and robots of the new training, with `SAMPLES` envs; it is reset.
+        robots: names of these robots, or paths of their configs.
+        train_config: of the new training, for the observation groups of its networks.
+
+    Returns:
+        The state of a checkpoint: the actor, and the critic if the checkpoint has one.
+
+    Raises:
+        ConfigError: for a broken file, and for networks that are no perceptrons of their task.
+    """
+    state, manifest = run_dir.load_checkpoint(checkpoint), run_dir.read_manifest(checkpoint)
+    trained = config.parse(manifest["train_config"], f"{checkpoint.parent / run_dir.MANIFEST}: train_config")
+    ratio = _ratio(manifest.get("robot_info", {}), simulated.robots(sim))
+    sim.reset()
+    grown: dict[str, Any] = {}
+    for network in ("actor", "critic"):
+        if (weights := state.get(f"{network}_state_dict")) is None:
+            continue
+        groups: list[str] = getattr(train_config.obs_groups, network)
+        known = numbers_of_run(manifest, getattr(trained.obs_groups, network), robots)
+        wanted = numbers_of(sim, groups)
+        old = {key: value.float() if value.is_floating_point() else value for key, value in weights.items()}
+        moved = None if known is None else perceptron_for(old, known, _emptied(old, len(wanted)), wanted)
+        slots = manifest["canonical_joint_names"]
+        if known is None or moved is None or (network == "actor" and not _moves(moved, slots)):
+            raise _core.ConfigError(
+                f"{checkpoint}: its {network} is no perceptron of the observation of {manifest['task']}; "
+                "copy the checkpoint and its manifest again, or use another one"
+            )
+        seen = np.concatenate([np.asarray(sim.observation_of(group)) for group in groups], axis=1)
+        _fit_moments(moved, known, wanted, seen, ratio)
+        if network == "actor":
+            moved = _with_joints(moved, slots, sim.canonical_joint_names, ratio)
+        grown[f"{network}_state_dict"] = moved
+    return {**grown, "iter": 0, "infos": {}}
+
+
+def _ratio(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
+    """How many times larger the action scale was; 1 where robots have several scales."""
+    scales = [{info["action_scale"] for info in infos.values() if "action_scale" in info} for infos in (old, new)]
+    if any(len(of) != 1 for of in scales):
+        return 1.0
+    (before,), (after,) = scales
+    return float(before) / float(after)
+
+
+def _emptied(state: Mapping[str, torch.Tensor], width: int) -> dict[str, torch.Tensor]:
+    """Zeros of the shapes of a perceptron that reads `width` numbers."""
+    return {
+        key: torch.zeros(*value.shape[:-1], width) if key == FIRST_LAYER or key in MOMENTS else torch.zeros_like(value)
+        for key, value in state.items()
+    }
+
+
+def _fit_moments(
+    moved: dict[str, torch.Tensor], known: Sequence[Number], wanted: Sequence[Number], seen: Floats, ratio: float
+) -> None:
+    """Moments of last actions in the new unit, and of new numbers over the bodies of the training.
+
+    A perceptron without moments has none to fit.
+    """
+    if COUNT not in moved:
+        return
+    old = set(known)
+    new = [column for column, number in enumerate(wanted) if number not in old]
+    actions = [column for column, number in enumerate(wanted) if number in old and number[1] == ACTIONS]
+    mean, std = seen.mean(axis=0)[new], seen.std(axis=0)[new] + FLOOR
+    for key, power, of_new in (("_mean", 1, mean), ("_std", 1, std), ("_var", 2, std**2)):
+        moments = moved[f"obs_normalizer.{key}"]
+        moments[0, actions] *= ratio**power
+        moments[0, new] = torch.from_numpy(of_new)
+    moved[COUNT] = moved[COUNT].clamp(max=MOST_SEEN)
+
+
+def _with_joints(
+    actor: Mapping[str, torch.Tensor], known: Sequence[str], wanted: Sequence[str], ratio: float
+) -> dict[str, torch.Tensor]:
+    """An actor with the rows of other slots, whose actions are `ratio` times as large."""
+    weight, bias = _last_layer(actor)
+    rows = {slot: row for row, slot in enumerate(known)}
+
+    def of_slots(key: str, otherwise: float) -> torch.Tensor:
+        values = actor[key] * ratio
+        new = torch.full_like(values[0], otherwise)
+        return torch.stack([values[rows[slot]] if slot in rows else new for slot in wanted])
+
+    moved = {key: of_slots(key, 0.0) for key in (weight, bias)}
+    return {**actor, **moved, STD: of_slots(STD, LEAST_STD).clamp(min=LEAST_STD)}
+
+
+def _moves(actor: Mapping[str, torch.Tensor], slots: Sequence[str]) -> bool:
+    """Whether a perceptron has an action, and a deviation, for each slot."""
+    return all(key in actor and len(actor[key]) == len(slots) for key in (*_last_layer(actor), STD))
+
+
+def _last_layer(state: Mapping[str, torch.Tensor]) -> tuple[str, str]:
+    """Keys of the weights and the bias of a perceptron's last layer."""
+    last = max(int(key.split(".")[1]) for key in state if key.startswith("mlp."))
+    return f"mlp.{last}.weight", f"mlp.{last}.bias"
