@@ -1,7 +1,10 @@
-"""Makes a bundled policy of a recipe's model: `python -m lab.bundle MODEL FOLDER --task NAME`.
+"""Makes a bundled policy of a model: `python -m lab.bundle MODEL FOLDER --task NAME`.
 
 The networks stay, and the manifest with the robots of the library. Drawn robots are reduced to
 their descriptions, by which a policy says how far a body is from those of its training.
+
+With `--pretrained` it makes a network with which separate networks of `polypod adapt` begin, of a
+run whose robots need not be of the library.
 """
 
 import argparse
@@ -19,6 +22,7 @@ from polypod.observation import terms_of
 from polypod.policy import with_slots
 from polypod.runs import run_dir
 from polypod.runs.schema import URMA
+from polypod.training.transfer import of_observation
 
 KEPT = ("actor_state_dict", "critic_state_dict")
 
@@ -85,6 +89,21 @@ def _sim_with(sim: _core.VecSim, slots: list[str]) -> _core.VecSim:
     return _core.VecSim(sim.task_name, len(sim.robots), robots=sim.robots, threads=1, slots=slots)
 
 
+def manifest_of_pretrained(manifest: dict[str, Any], command: str) -> dict[str, Any]:
+    """The manifest of a network that others begin with, without paths.
+
+    Separate networks keep its task, observation and sizes; other changes of the task are left out.
+    """
+    left_out = ("joint_maps", "config_hash", "slots")
+    return {
+        **{key: value for key, value in manifest.items() if key not in left_out},
+        "command": command,
+        "overrides": of_observation(manifest["overrides"]),
+        "checkpoints": {},
+        "robot_sources": manifest["robots"],
+    }
+
+
 def halved(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Large weights in half precision, which halves a file; small ones, with norms, stay."""
     return {
@@ -98,7 +117,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", type=Path)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--task", required=True)
+    for_what = parser.add_mutually_exclusive_group(required=True)
+    for_what.add_argument("--task", help="task that evaluates the policy")
+    for_what.add_argument("--pretrained", metavar="COMMAND", help="command line of the run")
     parser.add_argument("--recipe", default="lab/recipes/legged")
     parser.add_argument("--actor", action="store_true", help="leave out the critic, which --init alone reads")
     parser.add_argument("--half", action="store_true", help="keep large weights in half precision")
@@ -106,7 +127,11 @@ def main() -> None:
     state = run_dir.load_checkpoint(arguments.model)
     recipe = shlex.join(["python", "-m", "lab.recipe", arguments.recipe])
     try:
-        manifest = manifest_of(run_dir.read_manifest(arguments.model), arguments.task, recipe)
+        manifest = run_dir.read_manifest(arguments.model)
+        if arguments.pretrained is not None:
+            manifest = manifest_of_pretrained(manifest, arguments.pretrained)
+        else:
+            manifest = manifest_of(manifest, arguments.task, recipe)
     except ValueError as error:
         sys.exit(str(error))
     arguments.folder.mkdir(parents=True)
@@ -115,7 +140,7 @@ def main() -> None:
     networks = KEPT[:1] if arguments.actor else KEPT
     kept = {**{key: state[key] for key in networks if key in state}, "iter": state["iter"], "infos": {}}
     if arguments.half:
-        kept["actor_state_dict"] = halved(kept["actor_state_dict"])
+        kept |= {network: halved(kept[network]) for network in networks if network in kept}
     run_dir.save_checkpoint(checkpoint, lambda file: torch.save(kept, file))
     print(f"{checkpoint}: {checkpoint.stat().st_size} bytes")
 

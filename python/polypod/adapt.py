@@ -2,7 +2,8 @@
 
 A short training that begins with the policy, of the robot alone or with robots that are described
 most like it, and ends when the robot walks. Where the policy falls at once, a robot on two legs, or
-with a GPU any, gets a separate network, which begins from scratch. Measuring and stopping are
+with a GPU any, gets a separate network. It begins with a pretrained one that is grown to the
+robot's joints (`polypod.training.growth`), or from scratch. Measuring and stopping are
 `polypod.training.goal`, training is `polypod.training.session`.
 """
 
@@ -24,13 +25,14 @@ from polypod.add import add, sources
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
 from polypod.new_robot import NewRobot, new_robot, robot_name
-from polypod.runs import config, run_dir
+from polypod.runs import config, engines, run_dir
 from polypod.runs.schema import URMA, TrainConfig
 from polypod.tables import Rows
 from polypod.tensors import torch_threads
-from polypod.training import session
+from polypod.training import growth, session
 from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
+from polypod.training.transfer import of_observation
 from polypod.training.workers import Workers
 
 TRAIN_CONFIG, ON_GPU = "adapt", "adapt_on_gpu"
@@ -50,9 +52,9 @@ EXPERIMENT = "adapt"
 MAX_MINUTES = 15.0
 MANY_JOINTS = 26
 """A robot that drives more joints learns with those of its legs alone."""
-EVERY, EVERY_SEPARATE = 10, 60
-"""Iterations between two measurements; those of a separate network, which begins from scratch, are
-shorter and more."""
+EVERY, EVERY_PRETRAINED, EVERY_FROM_SCRATCH = 10, 20, 60
+"""Iterations between two measurements: of the policy, and of separate networks that begin with a
+pretrained one or from scratch. Iterations of these are shorter."""
 FOUR_LEGS, OTHERS = "quadruped", "legged"
 """Bundled policies to begin with."""
 URDF = ".urdf"
@@ -73,13 +75,16 @@ class Options:
     """Robots of the library to train with, so that nothing is forgotten."""
     max_minutes: float = MAX_MINUTES
     every: int | None = None
-    """Iterations between two measurements; None: `EVERY`, or `EVERY_SEPARATE`."""
+    """Iterations between two measurements; None: `EVERY`, `EVERY_PRETRAINED` or
+    `EVERY_FROM_SCRATCH`."""
     train_config: str | None = None
     """None: `adapt`, with a GPU `adapt_on_gpu`; of a separate network `adapt_separate`."""
     separate: Literal["auto", "always", "never"] = "auto"
     """Whether the robot gets a separate network: auto where the policy falls before it ends a turn
     or a stop, the robot has two legs or a GPU is there, and neither checkpoint nor neighbours are
     given."""
+    from_scratch: bool = False
+    """Whether a separate network begins from scratch although a pretrained one is there."""
     seed: int | None = None
     log_dir: Path = runs.LOGS
     device: str = "auto"
@@ -97,7 +102,8 @@ class Options:
     def command(self) -> str:
         """The command line of these options, for the manifest."""
         given: dict[str, Any] = {"--checkpoint": self.checkpoint and bundled.shown(self.checkpoint)}
-        for name in ("neighbours", "max_minutes", "every", "train_config", "separate", "seed", "legs_alone"):
+        names = ("neighbours", "max_minutes", "every", "train_config", "separate", "from_scratch", "seed", "legs_alone")
+        for name in names:
             if (value := getattr(self, name)) != getattr(Options, name):
                 given[f"--{name.replace('_', '-')}"] = value
         repeated = {
@@ -160,6 +166,10 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
     reporter = reporter or Progress()
     if options.neighbours and options.separate == "always":
         raise _core.ConfigError("--separate always trains the robot alone; leave out --neighbours")
+    if options.from_scratch and _is_bound(options) and options.separate != "always":
+        raise _core.ConfigError(
+            "--from-scratch is of a separate network, and the policy goes on; leave it out, or add --separate always"
+        )
     if options.train_config is not None:
         config.load(options.train_config)  # its mistakes are said before anything is written
     if _has_gpu(options):
@@ -167,11 +177,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         threading.Thread(target=_begin_gpu, daemon=True).start()
     given = Path(options.robot)
     run = run_dir.create(options.log_dir, EXPERIMENT, robot_name(given))
-    try:
+    with _removed_on_error(run):
         start = _start(options, run, reporter)
-    except BaseException:
-        shutil.rmtree(run, ignore_errors=True)
-        raise
     name, robot, checkpoint, before = start.name, start.robot, start.checkpoint, start.before
     wanted = [each for each in before if each == name or walks(before[each])]
     reporter.message(f"begins with {bundled.shown(checkpoint)}: {_verdict(before, wanted)}")
@@ -180,24 +187,40 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
             shutil.rmtree(run, ignore_errors=True)
         return Result(name, robot, checkpoint, before, before, True, [], _minutes(began))
     is_separate = _is_separate(options, robot, before[name])
+    first = None
+    with _removed_on_error(run):
+        pretrained = _pretrained(options, robot) if is_separate else None
+        of_run, plan = _plan(options, start, run, is_separate, pretrained)
+        if pretrained is not None:
+            first = _first_point(pretrained, plan, run, options)
+    if pretrained is not None and first is not None:
+        of_run = dataclasses.replace(of_run, init=first.checkpoint)
+        title = pretrained.parent.name.replace("_", " ")
+        said = _verdict(first.robots, [name])
+        reporter.message(f"{name}: a separate network begins with that of {title}: {said}")
+        if walks(first.robots[name]):
+            return Result(name, robot, first.checkpoint, before, first.robots, True, [], _minutes(began))
+    elif is_separate:
+        reporter.message(f"{name}: a separate network begins from scratch")
+    every = EVERY_PRETRAINED if pretrained is not None else EVERY_FROM_SCRATCH if is_separate else EVERY
     goal = UntilWalks(
-        options.every or (EVERY_SEPARATE if is_separate else EVERY),
+        options.every or every,
         wanted,
         say=lambda point: reporter.message(progress_line(point, wanted)),
         deadline=began + 60.0 * options.max_minutes,
         threads=options.threads,
         only_promising=is_separate,
         tell=reporter.message,
+        first=first,
     )
-    if is_separate:
-        reporter.message(f"{name}: a separate network begins from scratch")
-    of_run, plan = _plan(options, start, run, is_separate)
     _, runner = session.train_with(of_run, Workers.alone(), goal=goal, plan=plan, reporter=reporter)
     runner.env.unwrapped.close()
     stopped_by = None if runner.stopped_by is None else int(runner.stopped_by)
     last = run_dir.checkpoint_path(run, runner.current_learning_iteration)
-    if goal.best is None:
+    if goal.best is None or not goal.points:
         # interrupted before the first measurement
+        if first is not None and first.checkpoint != last:
+            run_dir.remove_checkpoint(first.checkpoint)
         return Result(name, robot, last, before, {}, False, [], _minutes(began), stopped_by)
     best, after, unfinished = goal.best.checkpoint, goal.best.robots, None
     if rank(after, wanted) <= rank(before, wanted):
@@ -222,6 +245,16 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
         stopped_by,
         unfinished,
     )
+
+
+@contextlib.contextmanager
+def _removed_on_error(run: Path) -> Iterator[None]:
+    """Removes a run that cannot begin."""
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(run, ignore_errors=True)
+        raise
 
 
 def _start(options: Options, run: Path, reporter: Reporter) -> Start:
@@ -262,8 +295,10 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     return Start(name, robot, near[:1], neighbours, checkpoint, changes, before)
 
 
-def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple[session.Options, session.Plan]:
-    """The training of the policy, or of a separate network."""
+def _plan(
+    options: Options, start: Start, run: Path, is_separate: bool, pretrained: Path | None
+) -> tuple[session.Options, session.Plan]:
+    """The training of the policy, or of a separate network, which a pretrained one may begin."""
     of_run = session.Options(
         init=None if is_separate else start.checkpoint,
         seed=options.seed,
@@ -275,8 +310,9 @@ def _plan(options: Options, start: Start, run: Path, is_separate: bool) -> tuple
     )
     slots: list[str] = []
     if is_separate:
-        train_config = _own_train_config(options)
-        task = {"task": train_config.run.task, "overrides": []}
+        train_config = _own_train_config(options, pretrained)
+        overrides = [] if pretrained is None else of_observation(run_dir.read_manifest(pretrained)["overrides"])
+        task = {"task": train_config.run.task, "overrides": overrides}
         own_set = _set_of_two_legs(start.robot)
         changes = _changes(task, start.robot, start.name, start.nearest, options.overrides, own_set)
     else:
@@ -424,14 +460,49 @@ def _is_alone(options: Options, robot: str) -> bool:
 
     Without a GPU only robots on two legs: those on more walk sooner with the policy.
     """
-    is_bound = options.checkpoint is not None or options.neighbours > 0 or options.separate != "auto"
-    return not is_bound and (_has_gpu(options) or _set_of_two_legs(robot) is not None)
+    return not _is_bound(options) and (_has_gpu(options) or _set_of_two_legs(robot) is not None)
 
 
-def _own_train_config(options: Options) -> TrainConfig:
-    """The settings of a separate network."""
+def _is_bound(options: Options) -> bool:
+    """Whether the options say what is trained, and leave nothing to the figures of the policy."""
+    return options.checkpoint is not None or options.neighbours > 0 or options.separate != "auto"
+
+
+def _pretrained(options: Options, robot: str) -> Path | None:
+    """The network with which a separate one begins; None: it begins from scratch."""
+    return None if options.from_scratch else bundled.pretrained(len(_robot_of(robot)["legs"]))
+
+
+def _first_point(pretrained: Path, plan: session.Plan, run: Path, options: Options) -> Point:
+    """Writes the run's first checkpoint, a pretrained network for the robot, and measures it."""
+    settings, robots = plan.config, plan.robots or []
+    # the CPU has the bits of a card
+    changes = [*settings.run.task_changes, *plan.overrides]
+    sim = _core.VecSim(
+        settings.run.task,
+        growth.SAMPLES,
+        robots=robots,
+        seed=plan.seed,
+        threads=options.threads,
+        overrides=[*changes, *engines.on_the_cpu(changes)],
+    )
+    state = growth.grow(pretrained, sim, robots, settings)
+    run_dir.write_params(run, sim, settings, robots, plan.overrides, options.command)
+    checkpoint = run_dir.checkpoint_path(run, 0)
+    run_dir.save_checkpoint(checkpoint, lambda file: torch.save(state, file))
+    return Point(0, 0, 0.0, _measured(checkpoint, None, [], options), checkpoint)
+
+
+def _own_train_config(options: Options, pretrained: Path | None) -> TrainConfig:
+    """The settings of a separate network; task and sizes are those of a pretrained one."""
     _, of_training = config.split_overrides(options.overrides)
-    return config.load(options.train_config or SEPARATE, of_training)
+    name = options.train_config or SEPARATE
+    if pretrained is None:
+        return config.load(name, of_training)
+    tables, manifest = config.load(name).as_dict(), run_dir.read_manifest(pretrained)
+    tables["run"] = {**tables["run"], "task": manifest["task"]}
+    has_critic = "critic_state_dict" in run_dir.load_checkpoint(pretrained)
+    return _with_networks(tables, manifest, has_critic, name, of_training)
 
 
 def _train_config(
@@ -444,14 +515,21 @@ def _train_config(
     kept = {key: policy["run"][key] for key in _OF_POLICY if key in policy["run"]}
     changes = descriptions.without_shares(kept.get("task_changes", []))
     tables["run"] = {**tables["run"], **kept, "task_changes": [*changes, *shares], "task": manifest["task"]}
+    return _with_networks(tables, manifest, has_critic, name, of_training)
+
+
+def _with_networks(
+    tables: dict[str, Any], manifest: Mapping[str, Any], has_critic: bool, name: str, changes: Sequence[str]
+) -> TrainConfig:
+    """The settings `tables`, with changes and with networks of a manifest's sizes."""
     for section in ("actor", "critic", "obs_groups"):
-        if section in policy:
-            tables[section] = policy[section]
+        if section in manifest["train_config"]:
+            tables[section] = manifest["train_config"][section]
     if not has_critic:
         # advantages of a critic that knows nothing yet undo the policy
         least = max(CRITIC_WARMUP, tables["algorithm"]["critic_warmup_iterations"])
         tables["algorithm"] = {**tables["algorithm"], "critic_warmup_iterations": least}
-    return config.changed(config.parse(tables, f"{name} for the policy"), of_training, "adapt")
+    return config.changed(config.parse(tables, f"{name} for the policy"), list(changes), "adapt")
 
 
 def _measured(

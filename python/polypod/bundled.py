@@ -13,6 +13,9 @@ NAMES = {
 }
 """Names on the command line, and folders."""
 DEFAULT = "flat"
+PRETRAINED = {2: "two_legs"}
+"""Perceptrons with which separate networks begin, by the number of legs: folders. They have a
+critic, and no command acts with them."""
 
 
 def checkpoint(name: str = DEFAULT) -> Path:
@@ -24,9 +27,23 @@ def checkpoint(name: str = DEFAULT) -> Path:
     """
     if name not in NAMES:
         raise _core.UnknownNameError(f"there is no bundled policy {name!r}; use one of {', '.join(NAMES)}")
-    found = sorted((FOLDER / NAMES[name]).glob("model_*.pt"))
+    return _in(NAMES[name], f"policy {name!r}")
+
+
+def pretrained(legs: int) -> Path | None:
+    """The checkpoint with which a separate network of a robot begins; None: there is none.
+
+    Raises:
+        ConfigError: for a package that was installed without it.
+    """
+    return _in(PRETRAINED[legs], f"network for {legs} legs") if legs in PRETRAINED else None
+
+
+def _in(folder: str, title: str) -> Path:
+    """The checkpoint of a folder."""
+    found = sorted((FOLDER / folder).glob("model_*.pt"))
     if not found:
-        raise _core.ConfigError(f"the bundled policy {name!r} is not in {FOLDER}; install polypod again")
+        raise _core.ConfigError(f"the bundled {title} is not in {FOLDER}; install polypod again")
     return found[0]
 
 

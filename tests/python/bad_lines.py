@@ -247,6 +247,7 @@ _POLYPOD_SWITCHES = {
     "show": ("--json", "--no-json"),
     "terms": ("--json", "--no-json"),
     "train": ("--headless", "--no-headless"),
+    "adapt": ("--from-scratch", "--no-from-scratch"),
     "compare": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--markdown", "--no-markdown"),
     "eval": ("--randomized", "--no-randomized", "--randomised", "--no-randomised", "--gate", "--no-gate"),
     "export": ("--fold", "--no-fold"),

@@ -41,15 +41,18 @@ class Adapt:
     max_minutes: float = 15.0
     """End after this many minutes, drafting and measuring included."""
     every: Count = None
-    """Iterations between two measurements. Default: 10; 60 of a separate network."""
+    """Iterations between two measurements. Default: 10; of a separate network 20, from scratch
+    60."""
     train_config: Name = None
     """Learner's settings: the name of a train config or the path of a .toml. Networks and task are
     the policy's. Default: adapt, with a GPU adapt_on_gpu; for a separate network adapt_separate,
-    which also sets networks and task."""
+    which also sets networks and task if it begins from scratch."""
     separate: Literal["auto", "always", "never"] = "auto"
-    """Train a separate network from scratch in place of the policy. auto: where the policy falls
-    before it ends a turn or a stop, the robot has two legs or a GPU is there, and neither
-    --checkpoint nor --neighbours is given."""
+    """Train a separate network in place of the policy: on two legs it begins with a bundled one,
+    else from scratch. auto: where the policy falls before it ends a turn or a stop, the robot has
+    two legs or a GPU is there, and neither --checkpoint nor --neighbours is given."""
+    from_scratch: bool = False
+    """Begin a separate network from scratch on two legs, too."""
     seed: Count = None
     """Seed of every random stream. Default: 42."""
     log_dir: Path = Path("logs")

@@ -79,6 +79,7 @@ class UntilWalks:
         meter: Meter | None = None,
         only_promising: bool = False,
         tell: Callable[[str], None] = lambda line: None,
+        first: Point | None = None,
     ) -> None:
         """Begins.
 
@@ -95,9 +96,11 @@ class UntilWalks:
             only_promising: nothing is measured as long as the figures of the training say that a
                 robot cannot walk (`STEPS`, `FALLS`), but for the last time.
             tell: is told why nothing is measured.
+            first: what the training begins with, in its run's directory; it stays if no measurement
+                is better.
         """
         self.every, self.wanted = every, None if wanted is None else tuple(wanted)
-        self.best: Point | None = None
+        self.best: Point | None = first
         self.points: list[Point] = []
         self.confirmation: Mapping[str, Walking] | None = None
         """Figures of the last second seed."""
@@ -200,7 +203,8 @@ class UntilWalks:
         # where all walk, the one before has failed with the second seed
         if self.best is None or rank(point.robots, wanted) >= rank(self.best.robots, wanted):
             self.best, leaves = point, self.best or point
-        if leaves is not self.best and leaves.iterations % save_interval:
+        is_of_interval = leaves.iterations > 0 and leaves.iterations % save_interval == 0
+        if leaves is not self.best and not is_of_interval:
             run_dir.remove_checkpoint(leaves.checkpoint)
 
 

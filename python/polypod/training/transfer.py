@@ -87,7 +87,7 @@ def numbers_of_run(
     slots, sources = list(manifest["canonical_joint_names"]), list(manifest["robot_sources"])
     for robots in filter(None, (sources, list(stand_ins))):
         # changes of robots that are not here name nothing
-        changes = manifest["overrides"] if robots is sources else without_robots(manifest["overrides"])
+        changes = manifest["overrides"] if robots == sources else of_observation(manifest["overrides"])
         try:
             sim = _core.VecSim(
                 manifest["task"], len(robots), robots=robots, threads=1, overrides=for_one_env_each(changes)
@@ -98,6 +98,6 @@ def numbers_of_run(
     return None
 
 
-def without_robots(overrides: Sequence[str]) -> list[str]:
-    """`key=value` pairs of a task without those of single robots."""
-    return [change for change in overrides if not change.startswith(("robot_overrides.", "env_shares."))]
+def of_observation(overrides: Sequence[str]) -> list[str]:
+    """`key=value` pairs of a task that change its observation."""
+    return [change for change in overrides if change.startswith("observations.")]

@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from common import ROOT
-from polypod.bundled import NAMES
+from polypod.bundled import NAMES, PRETRAINED
 
 sys.path.insert(0, str(ROOT / "tools"))
 import ptx
 
 MOST_BYTES = 19_400_000
-"""10 MB of them are the extension, 7 MB the four bundled policies, 0.7 MB kernels of a card."""
+"""10 MB of them are the extension, 7 MB the bundled policies, 0.7 MB kernels of a card."""
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_it_holds_the_package_and_nothing_else(wheel: Path) -> None:
     assert laboratory.isdisjoint([*shipped, *(name.split("/")[0] for name in shipped)])
     suffixes = {Path(name).suffix for name in names if name.startswith("polypod/")}
     assert suffixes <= {".py", ".pyi", ".so", ".pyd", ".typed", "", ".pt", ".json", ".onnx", ".toml", ".hpp", ".ptx"}
-    for folder in NAMES.values():
+    for folder in (*NAMES.values(), *PRETRAINED.values()):
         of_policy = {Path(name).name for name in names if name.startswith(f"polypod/policies/{folder}/model_")}
         assert len(of_policy) == 1
         assert f"polypod/policies/{folder}/manifest.json" in names
