@@ -18,11 +18,11 @@ from typing import Any
 import torch
 
 from polypod import _core
+from polypod.networks.transfer import of_observation
 from polypod.observation import terms_of
 from polypod.policy import with_slots
 from polypod.runs import run_dir
 from polypod.runs.schema import URMA
-from polypod.training.transfer import of_observation
 
 KEPT = ("actor_state_dict", "critic_state_dict")
 

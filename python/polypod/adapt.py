@@ -24,6 +24,7 @@ from polypod import _core, bundled, descriptions, runs, simulated, text
 from polypod.add import add, sources
 from polypod.evaluation import ENVS_PER_ROBOT, evaluate_checkpoint
 from polypod.evaluation.walking import Walking, walks, why_not
+from polypod.networks.transfer import of_observation
 from polypod.new_robot import NewRobot, new_robot, robot_name
 from polypod.runs import config, engines, run_dir
 from polypod.runs.schema import URMA, TrainConfig
@@ -32,7 +33,6 @@ from polypod.tensors import torch_threads
 from polypod.training import growth, session
 from polypod.training.goal import CONFIRMING_SEED, Point, UntilWalks, progress_line, rank
 from polypod.training.report import Iteration, Reporter, walking_cells
-from polypod.training.transfer import of_observation
 from polypod.training.workers import Workers
 
 TRAIN_CONFIG, ON_GPU = "adapt", "adapt_on_gpu"
@@ -277,7 +277,7 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if is_alone else {}
     if not before or not _is_separate(options, robot, before[name]):
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
-    other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint)
+    other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint, robot)
     if other is not None and not walks(before[name]):
         of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
         with_other = _measured(other, [robot], of_other, options)
@@ -388,9 +388,15 @@ def _fitting_policy(robot: str) -> Path:
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
 
 
-def _other_policy(checkpoint: Path) -> Path | None:
-    """The policy of all legs, for a robot that does not walk with the policy of four legs."""
-    return bundled.checkpoint(OTHERS) if checkpoint == bundled.checkpoint(FOUR_LEGS) else None
+def _other_policy(checkpoint: Path, robot: str) -> Path | None:
+    """The policy that a robot is measured with if it does not walk with the first.
+
+    Robots on four legs are measured with the policy of all legs, robots on two legs with ankles
+    with that of strangers.
+    """
+    if checkpoint == bundled.checkpoint(FOUR_LEGS):
+        return bundled.checkpoint(OTHERS)
+    return bundled.of_strangers(2) if _set_of_two_legs(robot) == "two_legs" else None
 
 
 def _set_of_two_legs(robot: str) -> str | None:

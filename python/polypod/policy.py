@@ -21,18 +21,19 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import torch
 
-from polypod import _core, runs
+from polypod import _core, bundled, runs
 from polypod.descriptions import for_one_env_each
 from polypod.extras import package
 from polypod.files import read_bytes, write_bytes
 from polypod.networks.agreement import TOLERANCE, difference, expected, untouched
 from polypod.networks.onnx_network import OnnxNetwork
 from polypod.networks.policies import NetworkPolicy, load_network
+from polypod.networks.transfer import emptied, has_actions_for, numbers_of, perceptron_for, with_joints
 from polypod.observation import layout_of, terms_of
 from polypod.registration import task_of
 from polypod.runs import manifest as manifests
 from polypod.runs import run_dir
-from polypod.runs.schema import URMA
+from polypod.runs.schema import MLP, URMA
 from polypod.vector_env import FloatArray, VectorEnv
 
 if TYPE_CHECKING:
@@ -123,11 +124,12 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     """Loads a policy; nothing in the file is executed.
 
     Weights of a network of joints know no slots: it is made ready for the slots of the task and
-    robots that are named.
+    robots that are named. A perceptron holds joints of these robots that it does not know in their
+    default pose.
 
     Args:
         path: a `model_<n>.pt` next to its manifest, a `.onnx`, or a bundled policy: flat, rough,
-            legged or quadruped.
+            legged, quadruped or two_legs.
         task: of an ONNX file that does not say so itself, and of a network of joints; others are
             taken at their word.
         robots: names, as `task`; None: those that the file names, or those of the task.
@@ -144,6 +146,11 @@ def load(path: Path | str, task: str | None = None, robots: Sequence[str] | None
     digest = hashlib.sha256(data).hexdigest()
     if manifest["policy"]["class_name"] == URMA and (task is not None or robots is not None):
         manifest = _for_bodies(manifest, task, robots)
+    elif robots is not None:
+        state, manifest = _with_still_joints(state, manifest, task, robots)
+    elif "robot_info" not in manifest and bundled.shown(path) != str(path):
+        # it names robots of the library that it was not trained with as they are
+        state, manifest = _with_still_joints(state, manifest, task, manifest["robot_sources"])
     return LoadedPolicy(load_network(state, manifest["policy"]), manifest, path, digest, state.get("iter"))
 
 
@@ -167,16 +174,44 @@ def _for_bodies(manifest: dict[str, Any], task: str | None, robots: Sequence[str
     return with_slots(manifest, sim)
 
 
+def _with_still_joints(
+    state: dict[str, Any], manifest: dict[str, Any], task: str | None, robots: Sequence[str]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Checkpoint and manifest of a perceptron for robots with joints that it does not know.
+
+    It acts as if they were not there. Their actions are 0, so that they hold their default pose.
+    """
+    known, old = list(manifest["canonical_joint_names"]), state.get("actor_state_dict")
+    if manifest["policy"]["class_name"] != MLP or old is None:
+        return state, manifest
+    sim = _core.VecSim(
+        _core.play_task(task or manifest["task"]),
+        len(robots),
+        robots=list(robots),
+        threads=1,
+        overrides=for_one_env_each(manifest["overrides"]),
+        slots=known,
+    )
+    if len(sim.canonical_joint_names) == len(known):
+        return state, manifest
+    numbers, wanted = numbers_of(sim, ["policy"], known), numbers_of(sim, ["policy"])
+    old = {key: value.float() if value.is_floating_point() else value for key, value in old.items()}
+    moved = perceptron_for(old, numbers, emptied(old, len(wanted)), wanted)
+    if moved is None or not has_actions_for(moved, known):
+        return state, manifest  # whoever steps it says what does not fit
+    actor = with_joints(moved, known, sim.canonical_joint_names)
+    return {**state, "actor_state_dict": actor}, with_slots(manifest, sim)
+
+
 def with_slots(manifest: dict[str, Any], sim: _core.VecSim) -> dict[str, Any]:
-    """The manifest of a network of joints with the slots and the observation of `sim`."""
+    """The manifest of a policy with the slots and the observation of `sim`.
+
+    A network of joints is built from their names and the layout.
+    """
     slots = sim.canonical_joint_names
-    policy = {
-        **manifest["policy"],
-        "num_obs": sim.num_obs,
-        "num_actions": sim.num_actions,
-        "observation_layout": layout_of(terms_of(sim)),
-        "joint_names": slots,
-    }
+    policy = {**manifest["policy"], "num_obs": sim.num_obs, "num_actions": sim.num_actions}
+    if policy["class_name"] == URMA:
+        policy |= {"observation_layout": layout_of(terms_of(sim)), "joint_names": slots}
     sizes = [{"term": term, "size": size} for term, size in sim.observation_layout]
     return {**manifest, "canonical_joint_names": slots, "observation_layout": sizes, "policy": policy}
 

@@ -28,8 +28,8 @@ class Eval:
 
     checkpoint: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")]
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped. For several, the seeds of one
-    training, also the mean and its interval."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs. For several, the seeds of
+    one training, also the mean and its interval."""
     json: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write the figures to this file."""
     plot: Annotated[Path | None, arg(metavar="FILE")] = None

@@ -15,7 +15,7 @@ class Export:
 
     checkpoint: Path
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Directory to write. Default: exported/ next to the checkpoint."""
     robots: RobotNames = None

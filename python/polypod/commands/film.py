@@ -36,8 +36,8 @@ class FilmOf:
     """The film: .gif, .webp or .mp4."""
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped. For a training also the folder of its
-    run. Default: flat."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs. For a training also the
+    folder of its run. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Annotated[tuple[float, float, float], arg(metavar="VX VY WZ")] = (0.6, 0.0, 0.0)

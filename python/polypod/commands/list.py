@@ -69,7 +69,7 @@ class List:
 
 
 def _policies() -> list[dict[str, str]]:
-    return [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
+    return [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.FOLDERS]
 
 
 def _commands() -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ class Play:
 
     checkpoint: Annotated[Path | None, arg(metavar="FILE")] = None
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped. Default: flat."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs. Default: flat."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     command: Velocity = None

@@ -33,7 +33,7 @@ class Robustness:
 
     checkpoint: Path
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's."""
     conditions: Robots = None

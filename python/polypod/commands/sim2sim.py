@@ -36,7 +36,7 @@ class Sim2sim:
 
     checkpoint: Path
     """A model_<n>.pt next to its manifest.json, a policy as ONNX, the name of a run or the end of
-    it, or a bundled policy: flat, rough, legged or quadruped."""
+    it, or a bundled policy: flat, rough, legged, quadruped or two_legs."""
     robots: RobotNames = None
     """Names of the robots, with commas between. Default: the run's; with --model, the one whose
     joints it has."""

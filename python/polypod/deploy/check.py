@@ -253,7 +253,7 @@ def _network(
                 "checkpoint"
             )
         return policy.network, bundled.shown(policy.file)
-    for place in (*(bundled.checkpoint(name) for name in bundled.NAMES), Path(file.metadata.get("run_path", ""))):
+    for place in (*(bundled.checkpoint(name) for name in bundled.FOLDERS), Path(file.metadata.get("run_path", ""))):
         if _sum(place) != digest:
             continue
         policy = load(place, robots=[source])

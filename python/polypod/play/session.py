@@ -182,7 +182,7 @@ def _check_offered(
 
 def _policies(checkpoint: Path) -> dict[str, Path]:
     """Policies that the page offers: the given one, its training's others, and bundled ones."""
-    known = {bundled.checkpoint(name): f"bundled: {name}" for name in bundled.NAMES}
+    known = {bundled.checkpoint(name): f"bundled: {name}" for name in bundled.FOLDERS}
     files = {known.get(checkpoint, checkpoint.name): checkpoint}
     others = sorted(checkpoint.parent.glob("model_*.pt"), key=lambda file: (len(file.name), file.name))
     stride = -(-len(others) // MOST_CHECKPOINTS)

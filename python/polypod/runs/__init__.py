@@ -26,7 +26,7 @@ def resolve(given: Path | None, log_dir: Path = LOGS) -> Path:
         return bundled.checkpoint()
     if _exists(given) and not _is_other_folder(given):
         return _in_folder(given)
-    if str(given) in bundled.NAMES:
+    if str(given) in bundled.FOLDERS:
         return bundled.checkpoint(str(given))
     if given.name != str(given) or given.suffix in (".pt", ".onnx") or not _exists(log_dir / "rsl_rl"):
         return given

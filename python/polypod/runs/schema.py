@@ -244,8 +244,8 @@ class DistillationConfig:
     """
 
     teacher: str | None = None
-    """A model_<n>.pt next to its manifest.json, or a bundled policy: flat, rough, legged or
-    quadruped."""
+    """A model_<n>.pt next to its manifest.json, or a bundled policy: flat, rough, legged, quadruped
+    or two_legs."""
     teachers: dict[str, str] | None = None
     """Teachers by robot, in the place of `teacher`; `OTHERS` is the one of all others. Teachers may
     have been trained on other robots, slots and terms than the student sees."""

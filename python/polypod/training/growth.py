@@ -15,9 +15,17 @@ import torch
 
 from polypod import _core, simulated
 from polypod.arrays import Floats
+from polypod.networks.transfer import (
+    Number,
+    emptied,
+    has_actions_for,
+    numbers_of,
+    numbers_of_run,
+    perceptron_for,
+    with_joints,
+)
 from polypod.runs import config, run_dir
 from polypod.runs.schema import TrainConfig
-from polypod.training.transfer import FIRST_LAYER, MOMENTS, Number, numbers_of, numbers_of_run, perceptron_for
 
 SAMPLES = 512
 """Envs whose numbers give mean and deviation of new ones."""
@@ -29,7 +37,7 @@ MOST_SEEN = 500_000
 """Samples that the moments of the observation stand for, at most, so that those of the new robots
 count after some tens of iterations."""
 ACTIONS = "last_action"
-STD, COUNT = "distribution.std_param", "obs_normalizer.count"
+COUNT = "obs_normalizer.count"
 
 
 def grow(checkpoint: Path, sim: _core.VecSim, robots: Sequence[str], train_config: TrainConfig) -> dict[str, Any]:
@@ -63,9 +71,9 @@ def grow(checkpoint: Path, sim: _core.VecSim, robots: Sequence[str], train_confi
         known = numbers_of_run(manifest, getattr(trained.obs_groups, network), robots)
         wanted = numbers_of(sim, groups)
         old = {key: value.float() if value.is_floating_point() else value for key, value in weights.items()}
-        moved = None if known is None else perceptron_for(old, known, _emptied(old, len(wanted)), wanted)
+        moved = None if known is None else perceptron_for(old, known, emptied(old, len(wanted)), wanted)
         slots = manifest["canonical_joint_names"]
-        if known is None or moved is None or (network == "actor" and not _moves(moved, slots)):
+        if known is None or moved is None or (network == "actor" and not has_actions_for(moved, slots)):
             raise _core.ConfigError(
                 f"{checkpoint}: its {network} is no perceptron of the observation of {manifest['task']}; "
                 "copy the checkpoint and its manifest again, or use another one"
@@ -73,7 +81,7 @@ def grow(checkpoint: Path, sim: _core.VecSim, robots: Sequence[str], train_confi
         seen = np.concatenate([np.asarray(sim.observation_of(group)) for group in groups], axis=1)
         _fit_moments(moved, known, wanted, seen, ratio)
         if network == "actor":
-            moved = _with_joints(moved, slots, sim.canonical_joint_names, ratio)
+            moved = with_joints(moved, slots, sim.canonical_joint_names, ratio, LEAST_STD)
         grown[f"{network}_state_dict"] = moved
     return {**grown, "iter": 0, "infos": {}}
 
@@ -85,14 +93,6 @@ def _ratio(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
         return 1.0
     (before,), (after,) = scales
     return float(before) / float(after)
-
-
-def _emptied(state: Mapping[str, torch.Tensor], width: int) -> dict[str, torch.Tensor]:
-    """Zeros of the shapes of a perceptron that reads `width` numbers."""
-    return {
-        key: torch.zeros(*value.shape[:-1], width) if key == FIRST_LAYER or key in MOMENTS else torch.zeros_like(value)
-        for key, value in state.items()
-    }
 
 
 def _fit_moments(
@@ -113,30 +113,3 @@ def _fit_moments(
         moments[0, actions] *= ratio**power
         moments[0, new] = torch.from_numpy(of_new)
     moved[COUNT] = moved[COUNT].clamp(max=MOST_SEEN)
-
-
-def _with_joints(
-    actor: Mapping[str, torch.Tensor], known: Sequence[str], wanted: Sequence[str], ratio: float
-) -> dict[str, torch.Tensor]:
-    """An actor with the rows of other slots, whose actions are `ratio` times as large."""
-    weight, bias = _last_layer(actor)
-    rows = {slot: row for row, slot in enumerate(known)}
-
-    def of_slots(key: str, otherwise: float) -> torch.Tensor:
-        values = actor[key] * ratio
-        new = torch.full_like(values[0], otherwise)
-        return torch.stack([values[rows[slot]] if slot in rows else new for slot in wanted])
-
-    moved = {key: of_slots(key, 0.0) for key in (weight, bias)}
-    return {**actor, **moved, STD: of_slots(STD, LEAST_STD).clamp(min=LEAST_STD)}
-
-
-def _moves(actor: Mapping[str, torch.Tensor], slots: Sequence[str]) -> bool:
-    """Whether a perceptron has an action, and a deviation, for each slot."""
-    return all(key in actor and len(actor[key]) == len(slots) for key in (*_last_layer(actor), STD))
-
-
-def _last_layer(state: Mapping[str, torch.Tensor]) -> tuple[str, str]:
-    """Keys of the weights and the bias of a perceptron's last layer."""
-    last = max(int(key.split(".")[1]) for key in state if key.startswith("mlp."))
-    return f"mlp.{last}.weight", f"mlp.{last}.bias"

@@ -19,6 +19,7 @@ from tensordict import TensorDict
 from polypod import _core
 from polypod.networks import UrmaModel
 from polypod.networks.clipped import clip_actions
+from polypod.networks.transfer import numbers_of, numbers_of_run, perceptron_for
 from polypod.python_terms import TermSim
 from polypod.rsl_rl import VecEnv
 from polypod.runs import run_dir
@@ -30,7 +31,6 @@ from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
 from polypod.training.symmetry import Mirror
 from polypod.training.teachers import ManyTeachers
-from polypod.training.transfer import numbers_of, numbers_of_run, perceptron_for
 from polypod.training.workers import Workers, slow_workers
 
 STOP_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__]

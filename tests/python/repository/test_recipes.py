@@ -17,10 +17,10 @@ from polypod.compat import tomllib
 from polypod.evaluation import evaluate_checkpoint
 from polypod.motions.tracking import terms_of_task
 from polypod.networks.policies import NetworkPolicy, load_network
+from polypod.networks.transfer import numbers_of
 from polypod.new_robot import new_robot
 from polypod.runs import config, run_dir
 from polypod.training import growth
-from polypod.training.transfer import numbers_of
 
 LEGGED = ROOT / "lab" / "recipes" / "legged"
 PLAN = """

@@ -14,9 +14,9 @@ from test_trainings_end_when_robots_walk import FIGURES, bad
 from common import MASKED_POLICY, ROOT
 from polypod import _core, adapt, bundled
 from polypod.compat import tomllib
+from polypod.networks.transfer import numbers_of, perceptron_for
 from polypod.runs import config, run_dir
 from polypod.training import goal, session
-from polypod.training.transfer import numbers_of, perceptron_for
 from polypod.training.workers import Workers
 
 CONFIG = """

@@ -9,9 +9,9 @@ import torch
 
 from polypod import _core
 from polypod.networks.policies import NetworkPolicy, load_network
+from polypod.networks.transfer import numbers_of
 from polypod.runs import config, run_dir
 from polypod.training import growth
-from polypod.training.transfer import numbers_of
 
 GROUPS = {"actor": ["policy"], "critic": ["policy", "critic"]}
 TASK, SETTINGS = "velocity_flat_teacher", "adapt_separate"

@@ -13,6 +13,9 @@ FIRST_LAYER = "mlp.0.weight"
 MOMENTS = {"obs_normalizer._mean": 0.0, "obs_normalizer._var": 1.0, "obs_normalizer._std": 1.0}
 """Statistics of the observation, and what they are of a number that was never seen."""
 
+STD = "distribution.std_param"
+"""Deviations of the actions of a perceptron."""
+
 Number = tuple[str, str, int, str]
 """A number of an observation: group, term, place within the term, and the slot or leg that it
 belongs to."""
@@ -101,3 +104,49 @@ def numbers_of_run(
 def of_observation(overrides: Sequence[str]) -> list[str]:
     """`key=value` pairs of a task that change its observation."""
     return [change for change in overrides if change.startswith("observations.")]
+
+
+def emptied(state: Mapping[str, torch.Tensor], width: int) -> dict[str, torch.Tensor]:
+    """Zeros of the shapes of a perceptron that reads `width` numbers."""
+    return {
+        key: torch.zeros(*value.shape[:-1], width) if key == FIRST_LAYER or key in MOMENTS else torch.zeros_like(value)
+        for key, value in state.items()
+    }
+
+
+def with_joints(
+    actor: Mapping[str, torch.Tensor],
+    known: Sequence[str],
+    wanted: Sequence[str],
+    ratio: float = 1.0,
+    least_std: float = 0.0,
+) -> dict[str, torch.Tensor]:
+    """An actor with the rows of other slots; the mean action of a new one is 0.
+
+    Args:
+        actor: its state.
+        known: its slots.
+        wanted: the new ones.
+        ratio: factor of the actions that it has.
+        least_std: deviation of new actions, and the least of all.
+    """
+    rows = {slot: row for row, slot in enumerate(known)}
+
+    def of_slots(key: str, otherwise: float) -> torch.Tensor:
+        values = actor[key] * ratio
+        new = torch.full_like(values[0], otherwise)
+        return torch.stack([values[rows[slot]] if slot in rows else new for slot in wanted])
+
+    moved = {key: of_slots(key, 0.0) for key in _last_layer(actor)}
+    return {**actor, **moved, STD: of_slots(STD, least_std).clamp(min=least_std)}
+
+
+def has_actions_for(actor: Mapping[str, torch.Tensor], slots: Sequence[str]) -> bool:
+    """Whether a perceptron has an action, and a deviation, for each slot."""
+    return all(key in actor and len(actor[key]) == len(slots) for key in (*_last_layer(actor), STD))
+
+
+def _last_layer(state: Mapping[str, torch.Tensor]) -> tuple[str, str]:
+    """Keys of the weights and the bias of a perceptron's last layer."""
+    last = max(int(key.split(".")[1]) for key in state if key.startswith("mlp."))
+    return f"mlp.{last}.weight", f"mlp.{last}.bias"
