@@ -61,6 +61,8 @@ URDF = ".urdf"
 NO_NOISE = "observations.enable_noise=false"
 _OF_POLICY = ("task", "task_changes", "symmetry", "normalize_reward_per_robot", "normalize_advantage_per_robot")
 """Keys of [run] that stay as the policy was trained."""
+_NETWORKS = ("actor", "critic", "obs_groups")
+"""Sections of the networks that a training begins with."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -298,7 +300,7 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
 def _plan(
     options: Options, start: Start, run: Path, is_separate: bool, pretrained: Path | None
 ) -> tuple[session.Options, session.Plan]:
-    """The training of the policy, or of a separate network, which a pretrained one may begin."""
+    """The training of the policy, or of a separate network, which may begin with `pretrained`."""
     of_run = session.Options(
         init=None if is_separate else start.checkpoint,
         seed=options.seed,
@@ -500,11 +502,16 @@ def _first_point(pretrained: Path, plan: session.Plan, run: Path, options: Optio
 
 
 def _own_train_config(options: Options, pretrained: Path | None) -> TrainConfig:
-    """The settings of a separate network; task and sizes are those of a pretrained one."""
+    """The settings of a separate network; task and networks are those of a pretrained one."""
     _, of_training = config.split_overrides(options.overrides)
     name = options.train_config or SEPARATE
     if pretrained is None:
         return config.load(name, of_training)
+    if given := [change for change in of_training if change.startswith(_NETWORKS)]:
+        raise _core.ConfigError(
+            f"--set train.{given[0][:80]}: the separate network begins with a bundled one; leave it out, or add "
+            "--from-scratch"
+        )
     tables, manifest = config.load(name).as_dict(), run_dir.read_manifest(pretrained)
     tables["run"] = {**tables["run"], "task": manifest["task"]}
     has_critic = "critic_state_dict" in run_dir.load_checkpoint(pretrained)
@@ -528,7 +535,7 @@ def _with_networks(
     tables: dict[str, Any], manifest: Mapping[str, Any], has_critic: bool, name: str, changes: Sequence[str]
 ) -> TrainConfig:
     """The settings `tables`, with changes and with networks of a manifest's sizes."""
-    for section in ("actor", "critic", "obs_groups"):
+    for section in _NETWORKS:
         if section in manifest["train_config"]:
             tables[section] = manifest["train_config"][section]
     if not has_critic:

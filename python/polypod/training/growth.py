@@ -16,6 +16,7 @@ import torch
 from polypod import _core, simulated
 from polypod.arrays import Floats
 from polypod.networks.transfer import (
+    MOMENTS,
     Number,
     emptied,
     has_actions_for,
@@ -28,16 +29,12 @@ from polypod.runs import config, run_dir
 from polypod.runs.schema import TrainConfig
 
 SAMPLES = 512
-"""Envs whose numbers give mean and deviation of new ones."""
+"""Envs whose numbers give the means of new ones."""
 LEAST_STD = 0.25
 """Least deviation of the actions that a grown policy explores with."""
 FLOOR = 0.02
-"""Added to the deviations of new numbers, many of which are 0 after a reset."""
-MOST_SEEN = 500_000
-"""Samples that the moments of the observation stand for, at most, so that those of the new robots
-count after some tens of iterations."""
+"""Added to the deviations of numbers of new terms, many of which are 0 after a reset."""
 ACTIONS = "last_action"
-COUNT = "obs_normalizer.count"
 
 
 def grow(checkpoint: Path, sim: _core.VecSim, robots: Sequence[str], train_config: TrainConfig) -> dict[str, Any]:
@@ -98,18 +95,25 @@ def _ratio(old: Mapping[str, Any], new: Mapping[str, Any]) -> float:
 def _fit_moments(
     moved: dict[str, torch.Tensor], known: Sequence[Number], wanted: Sequence[Number], seen: Floats, ratio: float
 ) -> None:
-    """Moments of last actions in the new unit, and of new numbers over the bodies of the training.
+    """Moments of last actions in the new unit, and of new numbers.
 
-    A perceptron without moments has none to fit.
+    New numbers have their mean over the bodies of the training, and the deviation of their term's
+    known numbers. A perceptron without moments has none to fit.
     """
-    if COUNT not in moved:
+    if not moved.keys() & MOMENTS.keys():
         return
     old = set(known)
-    new = [column for column, number in enumerate(wanted) if number not in old]
     actions = [column for column, number in enumerate(wanted) if number in old and number[1] == ACTIONS]
-    mean, std = seen.mean(axis=0)[new], seen.std(axis=0)[new] + FLOOR
-    for key, power, of_new in (("_mean", 1, mean), ("_std", 1, std), ("_var", 2, std**2)):
-        moments = moved[f"obs_normalizer.{key}"]
-        moments[0, actions] *= ratio**power
-        moments[0, new] = torch.from_numpy(of_new)
-    moved[COUNT] = moved[COUNT].clamp(max=MOST_SEEN)
+    mean, std, var = (moved[f"obs_normalizer.{key}"][0] for key in ("_mean", "_std", "_var"))
+    for moments, power in ((mean, 1), (std, 1), (var, 2)):
+        moments[actions] *= ratio**power
+    of_terms: dict[tuple[str, str], list[int]] = {}
+    for column, number in enumerate(wanted):
+        if number in old:
+            of_terms.setdefault(number[:2], []).append(column)
+    for column, number in enumerate(wanted):
+        if number in old:
+            continue
+        like = of_terms.get(number[:2])
+        deviation = float(seen[:, column].std()) + FLOOR if like is None else float(std[like].mean())
+        mean[column], std[column], var[column] = float(seen[:, column].mean()), deviation, deviation**2

@@ -108,6 +108,16 @@ def test_task_observation_and_sizes_are_the_pretrained_networks(pretrained, tmp_
     assert plan.overrides == ["observations.enable_noise=false"]
 
 
+def test_other_sizes_begin_from_scratch(cli, tmp_path, measured):
+    measured(bad(0.4), bad(0.4), FIGURES, FIGURES)
+    words = ("adapt", "my_biped.urdf", *SEPARATE, "--set", "train.actor.hidden_dims=[32]")
+    done = cli(*words)
+    assert done.returncode == 2
+    assert "--set train.actor.hidden_dims=[32]: the separate network begins with a bundled one" in done.stderr
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+    assert cli(*words, "--from-scratch").returncode == 0
+
+
 def test_one_without_a_critic_lets_a_new_one_learn_first(pretrained):
     state = torch.load(pretrained, weights_only=True)
     del state["critic_state_dict"]
