@@ -197,9 +197,8 @@ def adapt(options: Options, reporter: Reporter | None = None) -> Result:
             first = _first_point(pretrained, plan, run, options)
     if pretrained is not None and first is not None:
         of_run = dataclasses.replace(of_run, init=first.checkpoint)
-        title = pretrained.parent.name.replace("_", " ")
         said = _verdict(first.robots, [name])
-        reporter.message(f"{name}: a separate network begins with that of {title}: {said}")
+        reporter.message(f"{name}: a separate network begins with a bundled one: {said}")
         if walks(first.robots[name]):
             return Result(name, robot, first.checkpoint, before, first.robots, True, [], _minutes(began))
     elif is_separate:
@@ -279,12 +278,10 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
     before = _measured(checkpoint, [robot, *neighbours], changes, options, GLANCE) if is_alone else {}
     if not before or not _is_separate(options, robot, before[name]):
         before = _measured(checkpoint, [robot, *neighbours], changes, options)
-    other = None if options.checkpoint is not None or neighbours else _other_policy(checkpoint, robot)
+    is_bound = options.checkpoint is not None or neighbours or options.separate == "always"
+    other = None if is_bound else _other_policy(checkpoint, robot)
     if other is not None and not walks(before[name]):
-        of_other = _changes(run_dir.read_manifest(other), robot, name, near[:1], options.overrides)
-        with_other = _measured(other, [robot], of_other, options)
-        if walks(with_other[name]):
-            checkpoint, before = other, with_other
+        checkpoint, before = _better(checkpoint, before, other, robot, name, near[:1], options)
     if is_drafted and options.legs_alone == "auto" and _is_separate(options, robot, before[name]):
         joints = len(_robot_of(robot)["slots"])
         if joints > MANY_JOINTS:
@@ -294,6 +291,8 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
             robot = _draft(options, run, reporter, _above_legs(robot))
             changes = _changes(manifest, robot, name, near[:1], options.overrides)
             before = _measured(checkpoint, [robot], changes, options, GLANCE)
+            if other is not None:
+                checkpoint, before = _better(checkpoint, before, other, robot, name, near[:1], options)
     return Start(name, robot, near[:1], neighbours, checkpoint, changes, before)
 
 
@@ -388,6 +387,21 @@ def _fitting_policy(robot: str) -> Path:
     """The bundled policy to begin with, by the number of legs."""
     info = _robot_of(robot)
     return bundled.checkpoint(FOUR_LEGS if len(info["legs"]) == 4 else OTHERS)
+
+
+def _better(
+    checkpoint: Path,
+    before: dict[str, Walking],
+    other: Path,
+    robot: str,
+    name: str,
+    nearest: Sequence[str],
+    options: Options,
+) -> tuple[Path, dict[str, Walking]]:
+    """The other policy and its figures if the robot walks with it, else the first ones."""
+    changes = _changes(run_dir.read_manifest(other), robot, name, nearest, options.overrides)
+    found = _measured(other, [robot], changes, options)
+    return (other, found) if walks(found[name]) else (checkpoint, before)
 
 
 def _other_policy(checkpoint: Path, robot: str) -> Path | None:

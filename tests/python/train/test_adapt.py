@@ -181,9 +181,18 @@ def test_a_perceptron_of_many_bodies_learns_one_of_them_and_keeps_its_columns(cl
     assert runner.current_learning_iteration == 2
 
 
+def test_a_robot_on_two_legs_may_walk_with_the_policy_of_strangers(cli, tmp_path, measured):
+    measured(bad(0.4), bad(0.4), FIGURES)
+    done = cli("adapt", "unitree_h1", *FLAGS)
+    assert done.returncode == 0, done.stderr
+    text = " ".join(done.stdout.split())
+    assert "unitree_h1 walks without training; see it: polypod play --checkpoint two_legs" in text
+    assert not list(tmp_path.glob("logs/rsl_rl/*/*"))
+
+
 def test_a_robot_on_two_legs_begins_with_the_policy_of_all_legs(cli, tmp_path, measured):
     """A student has no critic: a new one learns first."""
-    measured(bad(0.4), bad(0.4), FIGURES, FIGURES)  # 16 envs first
+    measured(bad(0.4), bad(0.4), bad(0.4), FIGURES, FIGURES)  # 16 envs first, then that of strangers
     noise = "observations.enable_noise=true"
     done = cli("adapt", "unitree_h1", *FLAGS, "--set", noise)
     assert done.returncode == 0, done.stderr
@@ -269,7 +278,7 @@ def test_a_policy_that_falls_at_once_gives_way_to_a_separate_network(cli, tmp_pa
     falls = dataclasses.replace(bad(0.4), **AT_ONCE)
     # with a GPU; without one the policy goes on
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
-    measured(falls, FIGURES, FIGURES)
+    measured(falls, falls, FIGURES, FIGURES)
     (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
     done = cli("adapt", "unitree_h1", *FLAGS, "--from-scratch")
     assert done.returncode == 0, done.stderr
@@ -303,8 +312,9 @@ def test_a_separate_network_on_two_legs_is_paid_in_units_of_the_body(cli, tmp_pa
 def test_a_separate_network_that_is_not_finished_is_named_and_goes_on(cli, tmp_path, measured, monkeypatch):
     falls = dataclasses.replace(bad(0.4), **AT_ONCE)
     monkeypatch.setattr(adapt, "_has_gpu", lambda options: True)
-    # no measurement beats the policy: of 16 envs, of what the network begins with, of the training
-    measured(falls, falls, falls, falls)
+    # no measurement beats the policy: of 16 envs, of strangers' policy, of what the network begins
+    # with, of the training
+    measured(falls, falls, falls, falls, falls)
     (tmp_path / "tiny.toml").write_text(CONFIG.replace('"quick"', '"teacher"'))
     done = cli("adapt", "unitree_h1", *FLAGS, "--max-minutes", "0.0001")
     assert done.returncode == 3, done.stderr
@@ -361,7 +371,7 @@ def test_when_a_separate_network_begins(monkeypatch, options, has_gpu, falls, be
         ("spot", True, AT_ONCE, [16, 64]),
         ("spot", True, LATER, [16, 64, 64]),
         ("unitree_h1", True, {}, [16, 64]),
-        ("unitree_h1", False, AT_ONCE, [16]),
+        ("unitree_h1", False, AT_ONCE, [16, 64]),
         ("spot", False, AT_ONCE, [64, 64]),
     ],
 )

@@ -15,7 +15,7 @@ from polypod.training import growth
 
 __all__ = ["measured"]
 SEPARATE = (*FLAGS, "--separate", "always")
-BEGINS = "a separate network begins with that of two legs"
+BEGINS = "a separate network begins with a bundled one"
 
 
 @pytest.fixture(autouse=True)
