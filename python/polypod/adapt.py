@@ -50,8 +50,9 @@ falls is measured no further."""
 EXPERIMENT = "adapt"
 """Folder of the runs."""
 MAX_MINUTES = 15.0
-MANY_JOINTS = 26
-"""A robot that drives more joints learns with those of its legs alone."""
+MANY_JOINTS, MANY_JOINTS_FROM_SCRATCH = 30, 26
+"""A robot that drives more joints learns with those of its legs alone, with a pretrained network
+and from scratch."""
 EVERY, EVERY_PRETRAINED, EVERY_FROM_SCRATCH = 10, 20, 60
 """Iterations between two measurements: of the policy, and of separate networks that begin with a
 pretrained one or from scratch. Iterations of these are shorter."""
@@ -98,7 +99,8 @@ class Options:
     """Joints of a robot's file that are held, and their positions."""
     legs_alone: Literal["auto", "always", "never"] = "auto"
     """Whether all joints of a robot's file but those of its legs are held at their default pose:
-    auto where it gets a separate network and has more than `MANY_JOINTS`."""
+    auto where it gets a separate network and has more than `MANY_JOINTS`, or
+    `MANY_JOINTS_FROM_SCRATCH`."""
 
     @property
     def command(self) -> str:
@@ -284,7 +286,7 @@ def _start(options: Options, run: Path, reporter: Reporter) -> Start:
         checkpoint, before = _better(checkpoint, before, other, robot, name, near[:1], options)
     if is_drafted and options.legs_alone == "auto" and _is_separate(options, robot, before[name]):
         joints = len(_robot_of(robot)["slots"])
-        if joints > MANY_JOINTS:
+        if joints > (MANY_JOINTS_FROM_SCRATCH if _pretrained(options, robot) is None else MANY_JOINTS):
             reporter.message(
                 f"{name}: of its {joints} joints those of the legs alone move; --legs-alone never moves all"
             )

@@ -67,7 +67,8 @@ class Adapt:
     """Holds a joint of a file at a position, rad or m: an arm, a wheel. May be repeated."""
     legs_alone: Literal["auto", "always", "never"] = "auto"
     """Hold all joints of a file but those of the legs, at their default pose. auto: of a robot with
-    more than 26 joints that gets a separate network, which learns to walk sooner with fewer."""
+    more than 30 joints, from scratch 26, that gets a separate network, which learns to walk sooner
+    with fewer."""
     set: Overrides = ()
     """Changes the task's configuration, or with train. before the key the train config. May be
     repeated."""

@@ -8,6 +8,7 @@ import pytest
 import tomllib
 from test_add import fox
 from test_new_robot import quadruped
+from test_trainings_end_when_robots_walk import bad
 
 import polypod
 from common import ROOT
@@ -82,6 +83,18 @@ def test_joints_above_the_legs_are_held_where_they_stand(tmp_path):
             assert held[name] == pytest.approx(infos[0]["default_pose"][joint], abs=1e-6)
     assert held["left_elbow_joint"] <= -0.3
     assert held["right_elbow_joint"] >= 0.3
+
+
+@pytest.mark.parametrize(("from_scratch", "moved"), [(False, 29), (True, 12)])
+def test_many_joints_are_held_sooner_from_scratch(tmp_path, monkeypatch, from_scratch, moved):
+    """A file of 29 joints: a network that begins with a pretrained one moves them all."""
+    file = tmp_path / "g.urdf"
+    file.write_text((ROOT / "assets" / "robots" / "unitree_g1" / "robot.urdf").read_text())
+    (tmp_path / "run").mkdir()
+    monkeypatch.setattr(adapt, "_measured", lambda checkpoint, robots, *rest: {"g": bad(0.4)})
+    options = adapt.Options(str(file), separate="always", from_scratch=from_scratch, device="cpu")
+    start = adapt._start(options, tmp_path / "run", adapt.Progress())
+    assert len(adapt._robot_of(start.robot)["slots"]) == moved
 
 
 def test_a_config_has_no_joints_to_hold(cli):
