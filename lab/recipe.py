@@ -328,7 +328,7 @@ def draft_held(whole: Path, config: Path, patterns: Sequence[str]) -> None:
     if not own.is_dir():
         shutil.copytree(urdf.parent, own)
     draft(own / "robot.urdf", config, held(whole, patterns))
-    config.write_text(f"{config.read_text(encoding='utf-8')}\n{VARIATION}", encoding="utf-8")
+    _vary(config, tomllib.loads(whole.read_text(encoding="utf-8"))["reward_set"])
 
 
 def draft(urdf: Path, config: Path, locked: Sequence[str] = ()) -> None:
@@ -357,6 +357,11 @@ def draft_drawn(folder: Path, config: Path) -> None:
     """Gives a drawn body the config that `polypod robot new` drafts, with its reward set."""
     rewards = tomllib.loads(config.read_text(encoding="utf-8"))["reward_set"]
     draft(folder / "assets" / "robots" / config.stem / "robot.urdf", config)
+    _vary(config, rewards)
+
+
+def _vary(config: Path, rewards: str) -> None:
+    """Gives a draft a reward set, and ranges of `body_variation`."""
     lines = config.read_text(encoding="utf-8").splitlines()
     own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
     config.write_text("\n".join([*own, "", VARIATION]), encoding="utf-8")
