@@ -49,10 +49,6 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
     seen = [(term.term, term.size) for term in terms_of(sim)]
     if seen != (trained := [(entry["term"], entry["size"]) for entry in manifest["observation_layout"]]):
         raise ValueError(f"{task} shows {seen}, and the policy was trained on {trained}")
-    config = copy.deepcopy(manifest["train_config"])
-    if (distillation := config.get("distillation")) is not None:
-        teachers = distillation["teachers"]
-        distillation["teachers"] = {robot: Path(path).parent.name for robot, path in teachers.items()}
     return {
         **manifest,
         "task": sim.task_name,
@@ -63,8 +59,17 @@ def manifest_of(manifest: dict[str, Any], task: str, recipe: str) -> dict[str, A
         "robot_sources": robots,
         "joint_maps": {robot: manifest["joint_maps"][robot] for robot in robots},
         "robot_info": {robot: manifest["robot_info"][robot] for robot in robots},
-        "train_config": config,
+        "train_config": _without_paths(manifest["train_config"]),
     }
+
+
+def _without_paths(config: dict[str, Any]) -> dict[str, Any]:
+    """A train config whose teachers go by the names of their folders."""
+    config = copy.deepcopy(config)
+    if (distillation := config.get("distillation")) is not None:
+        teachers = distillation["teachers"]
+        distillation["teachers"] = {robot: Path(path).parent.name for robot, path in teachers.items()}
+    return config
 
 
 def _with_slots_of(sim: _core.VecSim, manifest: dict[str, Any]) -> dict[str, Any]:
@@ -101,6 +106,7 @@ def manifest_of_pretrained(manifest: dict[str, Any], command: str) -> dict[str, 
         "overrides": of_observation(manifest["overrides"]),
         "checkpoints": {},
         "robot_sources": manifest["robots"],
+        "train_config": _without_paths(manifest["train_config"]),
     }
 
 

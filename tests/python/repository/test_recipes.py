@@ -140,6 +140,18 @@ def test_a_policy_may_keep_large_weights_in_half_precision(made, tmp_path):
     assert result == "solo12"
 
 
+def test_a_network_to_begin_with_knows_no_path(made, tmp_path):
+    """Its robots may be files of another machine."""
+    model = str(made[1] / "student" / "model.pt")
+    lab("lab.bundle", model, str(tmp_path / "policy"), "--half", "--pretrained", "polypod train")
+    (kept,) = (tmp_path / "policy").glob("model_*.pt")
+    manifest = run_dir.read_manifest(kept)
+    assert manifest["robot_sources"] == ["solo12", "d_quadruped_0", "d_quadruped_arm_1"]
+    assert (manifest["command"], manifest["overrides"]) == ("polypod train", [])
+    assert str(made[1]) not in (tmp_path / "policy" / "manifest.json").read_text()
+    assert run_dir.load_checkpoint(kept).keys() >= {"actor_state_dict", "iter"}
+
+
 @pytest.mark.parametrize("words", [(), ("--actor",)])
 def test_a_policy_may_go_without_its_critic(made, tmp_path, words):
     model = str(made[1] / "teacher" / "model.pt")

@@ -15,16 +15,18 @@ from polypod.training import growth
 
 GROUPS = {"actor": ["policy"], "critic": ["policy", "critic"]}
 TASK, SETTINGS = "velocity_flat_teacher", "adapt_separate"
+TASKS = [TASK, "velocity_flat_any_legged"]
+"""The second one remembers five control steps, and describes each joint."""
 
 
-def simulated(robot: str) -> _core.VecSim:
-    return _core.VecSim(TASK, 16, robots=[robot], threads=1, seed=1)
+def simulated(robot: str, task: str = TASK) -> _core.VecSim:
+    return _core.VecSim(task, 16, robots=[robot], threads=1, seed=1)
 
 
-def trained(folder: Path, robot: str, change=lambda manifest: None) -> Path:
+def trained(folder: Path, robot: str, change=lambda manifest: None, task: str = TASK) -> Path:
     """A checkpoint with random networks for a robot, as a run leaves it."""
     folder.mkdir()
-    settings, sim = config.load(SETTINGS), simulated(robot)
+    settings, sim = config.load(SETTINGS), simulated(robot, task)
     run_dir.write_params(folder, sim, settings, [robot], [], "polypod train")
     manifest = json.loads((folder / "manifest.json").read_text())
     change(manifest)
@@ -62,9 +64,10 @@ def outputs(weights, seen) -> np.ndarray:
     return x.numpy()
 
 
-def test_the_same_robot_has_the_same_networks_to_the_bit(tmp_path):
-    checkpoint = trained(tmp_path / "run", "unitree_g1")
-    grown = growth.grow(checkpoint, simulated("unitree_g1"), ["unitree_g1"], config.load(SETTINGS))
+@pytest.mark.parametrize("task", TASKS)
+def test_the_same_robot_has_the_same_networks_to_the_bit(tmp_path, task):
+    checkpoint = trained(tmp_path / "run", "unitree_g1", task=task)
+    grown = growth.grow(checkpoint, simulated("unitree_g1", task), ["unitree_g1"], config.load(SETTINGS))
     old = run_dir.load_checkpoint(checkpoint)
     for network in ("actor_state_dict", "critic_state_dict"):
         assert grown[network].keys() == old[network].keys()
@@ -74,12 +77,13 @@ def test_the_same_robot_has_the_same_networks_to_the_bit(tmp_path):
     assert torch.equal(grown["actor_state_dict"]["distribution.std_param"], torch.full((29,), growth.LEAST_STD))
 
 
+@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize(("old", "new"), [("berkeley_humanoid", "unitree_g1"), ("unitree_g1", "berkeley_humanoid")])
-def test_shared_joints_move_as_before_and_new_ones_are_still(tmp_path, old, new):
+def test_shared_joints_move_as_before_and_new_ones_are_still(tmp_path, old, new, task):
     """Numbers that one robot alone has are at their mean, and add nothing."""
     # scales are said to be equal, so that actions are equal numbers
-    checkpoint = trained(tmp_path / "run", old, lambda manifest: manifest.pop("robot_info"))
-    sims = {"old": simulated(old), "new": simulated(new)}
+    checkpoint = trained(tmp_path / "run", old, lambda manifest: manifest.pop("robot_info"), task)
+    sims = {"old": simulated(old, task), "new": simulated(new, task)}
     state = run_dir.load_checkpoint(checkpoint)
     grown = growth.grow(checkpoint, sims["new"], [new], config.load(SETTINGS))
     rows = np.random.default_rng(0)
@@ -134,13 +138,14 @@ def test_actions_keep_their_size_in_rad(tmp_path):
     assert outputs(grown, seen) * own == pytest.approx(outputs(old, told) * 1.0, rel=0.05, abs=0.01)
 
 
-def test_robots_of_the_training_need_not_be_here(tmp_path):
+@pytest.mark.parametrize("task", TASKS)
+def test_robots_of_the_training_need_not_be_here(tmp_path, task):
     """Their configs are files of another machine, and changes name them."""
     away = {"robot_sources": ["/elsewhere/walker.toml"], "overrides": ["robot_overrides.walker.reward_set=two_legs"]}
-    here = trained(tmp_path / "here", "unitree_g1")
-    elsewhere = trained(tmp_path / "elsewhere", "unitree_g1", lambda manifest: manifest.update(away))
+    here = trained(tmp_path / "here", "unitree_g1", task=task)
+    elsewhere = trained(tmp_path / "elsewhere", "unitree_g1", lambda manifest: manifest.update(away), task)
     settings = config.load(SETTINGS)
-    states = [growth.grow(file, simulated("bolt"), ["bolt"], settings) for file in (here, elsewhere)]
+    states = [growth.grow(file, simulated("bolt", task), ["bolt"], settings) for file in (here, elsewhere)]
     for network in ("actor_state_dict", "critic_state_dict"):
         assert all(torch.equal(states[0][network][key], states[1][network][key]) for key in states[0][network])
 
