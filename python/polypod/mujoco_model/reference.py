@@ -20,7 +20,8 @@ Settings that differ from MuJoCo's defaults, and the reasons:
   it Coulomb's.
 - Limits of effort, position limits and speed limits, where `bounded`: see
   `polypod.mujoco_model.limits`.
-- Shapes touch the ground alone, not each other.
+- Shapes touch the ground alone, not each other. A URDF with meshes has polypod's shapes in their
+  place: see `polypod.mujoco_model.contact_shapes`.
 - Contacts with elliptic cones, the same coefficients on both sides, in three directions (`condim`
   3), with torsional friction in four, with rolling friction in six. A surface of the config has a
   priority above the ground's, and the coefficients that polypod combines. The contact is made as
@@ -48,6 +49,7 @@ from polypod._core import ConfigError
 from polypod.add import inertias
 from polypod.arrays import Array
 from polypod.extras import package
+from polypod.mujoco_model import contact_shapes
 from polypod.mujoco_model.limits import Limits
 from polypod.mujoco_model.origin import Origin
 from polypod.mujoco_model.robot import Actuators, Robot, Surface
@@ -169,6 +171,7 @@ class Reference:
         bounded: bool = False,
         joint_range: Array | None = None,
         origin: Origin | None = None,
+        outline: Mapping[str, Any] | None = None,
     ) -> None:
         """Compiles the model.
 
@@ -187,6 +190,7 @@ class Reference:
             joint_range: position limits of these joints in the place of the file's, [joints, 2],
                 rad or m.
             origin: the MJCF file that the robot comes from, in the place of the URDF.
+            outline: the robot's entry of `VecSim.robot_shapes`, of a URDF without its shapes.
         """
         mj = mujoco()
         self._anchors: Mapping[str, Array] = {}
@@ -195,6 +199,8 @@ class Reference:
             spec.compiler.fusestatic = False
             for name, position in (locked_joints or {}).items():
                 _lock(mj, spec, name, position)
+            if outline is not None:
+                contact_shapes.add(mj, spec, outline)
         else:
             spec = origin.spec(functools.partial(_lock, mj), locked_joints or {})
             self._anchors = origin.anchors
@@ -250,6 +256,7 @@ class Reference:
             surfaces=robot.surfaces,
             joint_range=robot.joint_range,
             origin=robot.origin,
+            outline=robot.outline,
             **options,
         )
 

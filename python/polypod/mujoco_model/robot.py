@@ -17,6 +17,7 @@ from polypod import _core, simulated
 from polypod.add.root import rooted
 from polypod.arrays import Array
 from polypod.compat import tomllib
+from polypod.mujoco_model import contact_shapes
 from polypod.mujoco_model.origin import Origin, origin_of
 
 
@@ -92,7 +93,7 @@ class Robot:
 
     name: str
     urdf: str
-    """The URDF's text."""
+    """The URDF's text; without shapes where `outline` has them."""
     joint_names: tuple[str, ...]
     """Names of the joints in polypod's order."""
     default_position: Array
@@ -116,6 +117,8 @@ class Robot:
     origin: Origin | None = None
     """The MJCF file that it comes from; None: it is compared with MuJoCo's model of its URDF."""
     surfaces: tuple[Surface, ...] = ()
+    outline: Mapping[str, Any] | None = None
+    """The robot's entry of `VecSim.robot_shapes` where its URDF names meshes."""
 
     @property
     def num_joints(self) -> int:
@@ -196,9 +199,11 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         next(key for key, group in groups.items() if any(fnmatchcase(slots[joint], p) for p in group["joints"]))
         for joint in range(len(info["joint_names"]))
     ]
+    urdf = rooted(_core.robot_urdf(source), _core.Simulation(source, threads=1, ground=None).link_names[0])
+    bare = contact_shapes.without_shapes(urdf)
     return Robot(
         name=name,
-        urdf=rooted(_core.robot_urdf(source), _core.Simulation(source, threads=1, ground=None).link_names[0]),
+        urdf=urdf if bare is None else bare,
         joint_names=tuple(info["joint_names"]),
         default_position=np.array(info["default_pose"]),
         joint_range=np.stack([_limits(info["lower"], -np.inf), _limits(info["upper"], np.inf)], axis=1),
@@ -218,6 +223,7 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         surfaces=tuple(
             Surface(**{**table, "bodies": tuple(table["bodies"])}) for table in config.get("surfaces", {}).values()
         ),
+        outline=None if bare is None else simulated.shapes(sim)[name],
     )
 
 
