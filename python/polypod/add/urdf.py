@@ -220,7 +220,7 @@ def reference(text: str, base: str, held: Mapping[str, float]) -> tuple[Any, int
     try:
         model = _compiled(mj, root)
     except (ValueError, mj.FatalError):
-        _merge(root)
+        merge(root)
         try:
             model = _compiled(mj, root)
         except (ValueError, mj.FatalError) as error:
@@ -240,7 +240,7 @@ def _compiled(mj: Any, root: ElementTree.Element) -> Any:
     return inertias.compiled(spec)
 
 
-def _merge(root: ElementTree.Element) -> None:
+def merge(root: ElementTree.Element) -> None:
     """Adds the inertias of links on fixed joints to the links that move them.
 
     Goes from the leaves to the base.

@@ -343,9 +343,12 @@ class Reference:
 def _lock(mj: Any, spec: Any, name: str, position: float) -> None:
     """Holds a joint at a position: its body becomes part of its parent.
 
-    Joints before it in the body turn too.
+    Joints before it in the body turn too. It mimics no joint any more.
     """
     joint = spec.joint(name)
+    for equality in list(spec.equalities):
+        if equality.type == mj.mjtEq.mjEQ_JOINT and name in (equality.name1, equality.name2):
+            spec.delete(equality)
     body, axis = joint.parent, np.array(joint.axis) / np.linalg.norm(joint.axis)
     turn, moved = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if joint.type == mj.mjtJoint.mjJNT_SLIDE:
