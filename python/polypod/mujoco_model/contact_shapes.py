@@ -1,11 +1,11 @@
 """polypod's contact shapes in MuJoCo's model of a URDF with meshes.
 
 MuJoCo and polypod read meshes in different ways. polypod finds them without ROS, takes their convex
-hulls with few points, leaves missing ones out and puts a box in the place of a missing foot. So that
-both simulators touch the ground with the same shapes, the model gets polypod's, and those of the
-URDF are left out. They have no mass: masses and inertias are those that the URDF states. Links on
-fixed joints pass theirs to the link that moves them, as in polypod: some frames of such files have
-token inertias that MuJoCo refuses.
+hulls with few points, leaves missing ones out and puts a box in the place of a missing foot. So
+that both simulators touch the ground with the same shapes, the model gets polypod's, and those of
+the URDF are left out. They have no mass: masses and inertias are those that the URDF states. Links
+on fixed joints pass theirs to the link that moves them, as in polypod: some frames of such files
+have token inertias that MuJoCo refuses.
 """
 
 from collections.abc import Mapping
