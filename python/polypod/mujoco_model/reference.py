@@ -263,6 +263,8 @@ class Reference:
                 outline=robot.outline,
                 **options,
             )
+        except ConfigError:
+            raise
         except (ValueError, mujoco().FatalError) as error:
             problem = " ".join(str(error).split())
             raise ConfigError(
