@@ -68,8 +68,6 @@ def add(mj: Any, spec: Any, outline: Mapping[str, Any]) -> None:
                     mesh = spec.add_mesh(name=f"{name} {index}", uservert=_solid(np.array(shape["points"])).ravel())
                     mesh.inertia = mj.mjtMeshInertia.mjMESH_INERTIA_CONVEX
                     geom.type, geom.meshname = mj.mjtGeom.mjGEOM_MESH, mesh.name
-                case kind:
-                    raise ValueError(f"no shape {kind!r}")
 
 
 def _pose_in(body: Any, link: str) -> tuple[Array, Array]:

@@ -247,18 +247,29 @@ class Reference:
 
     @classmethod
     def of(cls, robot: Robot, **options: Any) -> "Reference":
-        """A robot, from its MJCF file if it has one; `options` as in the constructor."""
-        return cls(
-            robot.urdf,
-            joint_names=robot.joint_names,
-            actuators=robot.actuators,
-            locked_joints=robot.locked_joints,
-            surfaces=robot.surfaces,
-            joint_range=robot.joint_range,
-            origin=robot.origin,
-            outline=robot.outline,
-            **options,
-        )
+        """A robot, from its MJCF file if it has one; `options` as in the constructor.
+
+        Raises ConfigError where MuJoCo refuses the robot's file.
+        """
+        try:
+            return cls(
+                robot.urdf,
+                joint_names=robot.joint_names,
+                actuators=robot.actuators,
+                locked_joints=robot.locked_joints,
+                surfaces=robot.surfaces,
+                joint_range=robot.joint_range,
+                origin=robot.origin,
+                outline=robot.outline,
+                **options,
+            )
+        except ConfigError:
+            raise
+        except (ValueError, mujoco().FatalError) as error:
+            problem = " ".join(str(error).split())
+            raise ConfigError(
+                f"{robot.source}: MuJoCo does not compile {robot.urdf_file}: {problem}; correct this in the file"
+            ) from error
 
     @property
     def qpos(self) -> Array:
