@@ -188,13 +188,15 @@ def new_robot(
         joint_roles=joint_roles or {},
         locked_joints=locked_joints or {},
     )
-    copy, packages = None, package_dirs or {}
+    copy, packages, stem = None, package_dirs or {}, _stem_of_copies(urdf, out, folder)
     if (tree := urdf_copies.read(urdf)) is not None:
         try:
             base_frames.check_units(urdf, tree)
             # a library's own copy of a URDF stays what the file says
             if not urdf_key:
-                copy = _copy(urdf, tree, folder, drafts_of, locked_joints or {}, packages, keeps_up=bool(joint_roles))
+                copy = _copy(
+                    urdf, tree, folder, stem, drafts_of, locked_joints or {}, packages, keeps_up=bool(joint_roles)
+                )
         except _core.PolypodError:
             raise
         except ValueError:
@@ -206,7 +208,7 @@ def new_robot(
     else:
         drafted = _drafts_on(copy, folder / copy.name, drafts_of, out, force)
     if tree is not None and not urdf_key and not joint_roles:
-        turned = _turned(urdf, tree, copy, folder, drafted(), packages)
+        turned = _turned(urdf, tree, copy, folder, stem, drafted(), packages)
         if turned is not None:
             if copy is not None:
                 (folder / copy.name).unlink()
@@ -287,17 +289,36 @@ def robot_name(given: Path) -> str:
     return name[:60] or "robot"
 
 
+def _stem_of_copies(urdf: Path, out: Path | None, folder: Path) -> str:
+    """The beginning of a copy's name: the file's, or the robot's where another draft took that.
+
+    Many files are called robot.urdf, and drafts of several may lie in one folder.
+    """
+    if out is None:
+        return urdf.stem
+    copy = re.compile(rf'^urdf = "{re.escape(urdf.stem)}_\w+\.urdf"', re.MULTILINE)
+    for other in folder.glob("*.toml"):
+        with contextlib.suppress(OSError, ValueError):
+            if other.name != out.name and copy.search(other.read_text(encoding="utf-8")):
+                return out.stem
+    return urdf.stem
+
+
 def _copy(
     urdf: Path,
     robot: ElementTree.Element,
     folder: Path,
+    stem: str,
     drafts_of: Callable[..., Draft],
     held: Collection[str],
     packages: Collection[str],
     *,
     keeps_up: bool,
 ) -> urdf_copies.Copy | None:
-    """The copy of a URDF for drafts, to lie in this folder; None where none is needed."""
+    """The copy of a URDF for drafts, to lie in this folder; None where none is needed.
+
+    `stem` begins its name.
+    """
     massless = massless_links.notes(*massless_links.settle(robot, held))
     tokens = token_inertias.replace(robot)
     impossible = token_inertias.replace_impossible(robot)
@@ -317,7 +338,7 @@ def _copy(
     what = f"{urdf.name} with {' and '.join(what for what, _ in made.values())}"
     text = urdf_copies.text_of(upright, what, urdf, folder, packages)
     notes = [note for _, own in made.values() for note in own]
-    return urdf_copies.Copy(text, f"{'_'.join([urdf.stem, *made])}.urdf", notes)
+    return urdf_copies.Copy(text, f"{'_'.join([stem, *made])}.urdf", notes)
 
 
 def _turned(
@@ -325,6 +346,7 @@ def _turned(
     robot: ElementTree.Element,
     copy: urdf_copies.Copy | None,
     folder: Path,
+    stem: str,
     draft: Draft,
     packages: Collection[str],
 ) -> urdf_copies.Copy | None:
@@ -339,7 +361,8 @@ def _turned(
     if note is None:
         return None
     text = urdf_copies.text_of(robot, f"{own.name} with its base turned round", own, folder, packages)
-    return urdf_copies.Copy(text, f"{own.stem}_turned.urdf", [*(copy.notes if copy else []), note])
+    begin = stem if copy is None else own.stem
+    return urdf_copies.Copy(text, f"{begin}_turned.urdf", [*(copy.notes if copy else []), note])
 
 
 def upright_of(

@@ -10,7 +10,7 @@ import tomllib
 from test_new_robot import quadruped
 
 from common import ROOT
-from polypod import _core, base_frames, bodies, urdf_copies
+from polypod import VecSim, _core, base_frames, bodies, urdf_copies
 from polypod.add import add, compiling, judge
 from polypod.add import turned as upright_model
 from polypod.new_robot import new_robot
@@ -51,6 +51,25 @@ def test_angles_are_those_of_the_pose():
         turn, _ = base_frames._pose(origin)
         origin.set("rpy", " ".join(map(str, base_frames._angles(turn))))
         np.testing.assert_allclose(base_frames._pose(origin)[0], turn, atol=1e-12)
+
+
+def test_drafts_of_files_of_one_name_keep_their_own_copies(tmp_path):
+    """Many are called robot.urdf; the second draft took the first one's copy with `force`."""
+    frame = next(iter(FRAMES.values()))
+    texts = {"fox": quadruped(), "g1": (ROOT / "assets/robots/unitree_g1/robot.urdf").read_text()}
+    for name, text in texts.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "robot.urdf").write_text(turned(text, frame))
+        new_robot(tmp_path / name / "robot.urdf", tmp_path / f"{name}.toml", force=True)
+    urdfs = [tomllib.loads((tmp_path / f"{name}.toml").read_text())["urdf"] for name in texts]
+    assert urdfs == ["robot_upright.urdf", "g1_upright.urdf"]
+    assert "fox" not in (tmp_path / "g1_upright.urdf").read_text()
+    sim = VecSim("velocity_flat_any_legged", 2, robots=[str(tmp_path / f"{name}.toml") for name in texts], threads=1)
+    assert len(sim.robots) == 2
+    # again, and each keeps its own
+    for name in texts:
+        new_robot(tmp_path / name / "robot.urdf", tmp_path / f"{name}.toml", force=True)
+    assert urdfs == [tomllib.loads((tmp_path / f"{name}.toml").read_text())["urdf"] for name in texts]
 
 
 @pytest.mark.parametrize("robot", ["fox", "unitree_g1", "booster_t1"])

@@ -305,8 +305,14 @@ def test_feet_of_a_file_without_shapes_are_boxes_of_their_inertia(tmp_path, link
     assert "l6" not in [
         body.split()[0] for body in _core.check(urdf).partition("contact bodies")[2].splitlines() if body
     ]
+    other = new_robot(urdf, tmp_path / "other.toml").path.read_text()
+    assert tomllib.loads(other)["urdf"] == "other_with_feet.urdf"
+    own = tmp_path / "own" / "bare_with_feet.urdf"
+    own.parent.mkdir()
+    own.write_text("mine")
     with pytest.raises(_core.ConfigError, match=r"bare_with_feet\.urdf is there already; pass --force"):
-        new_robot(urdf, tmp_path / "other.toml")
+        new_robot(urdf, own.with_name("draft.toml"))
+    assert own.read_text() == "mine"
     assert new_robot(urdf, tmp_path / "draft.toml", force=True).path == made.path
 
 
