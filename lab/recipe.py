@@ -361,10 +361,11 @@ def draft_drawn(folder: Path, config: Path) -> None:
 
 
 def _vary(config: Path, rewards: str) -> None:
-    """Gives a draft a reward set, and ranges of `body_variation`."""
+    """Gives a draft a reward set, and ranges of `body_variation` if it has none of its own."""
     lines = config.read_text(encoding="utf-8").splitlines()
     own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
-    config.write_text("\n".join([*own, "", VARIATION]), encoding="utf-8")
+    ranges = [] if any(line.startswith("[variation]") for line in lines) else ["", VARIATION]
+    config.write_text("\n".join([*own, *ranges]) + "\n", encoding="utf-8")
 
 
 def train(recipe: Recipe, stage: Stage, out: Path, ends_at: float | None, threads: int | None) -> str:

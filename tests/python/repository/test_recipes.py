@@ -253,7 +253,7 @@ def test_joints_are_held_of_a_group_of_robots(tmp_path):
 
 
 def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
-    words = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "d", "--wide")
+    words = ("--count", "2", "--seed", "1", "--kinds", "biped,quadruped", "--prefix", "d", "--wide")
     unnamed = ("--count", "1", "--seed", "1", "--kinds", "biped", "--prefix", "e")
     named = ("@dogs", "drafted_bolt", "stiff", "rigid")
     stage = recipe.Stage(name="first", config="student.toml", robots=named)
@@ -275,6 +275,8 @@ def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
     assert "Drafted by" not in drawn.read_text()
     tables = [tomllib.loads(file.read_text()) for file in (drafted, drawn)]
     assert tables[0]["reward_set"] == tables[1]["reward_set"]
+    quadruped = tomllib.loads((drafted.parent / "d_quadruped_1.toml").read_text())
+    assert (quadruped["reward_set"], "variation" in quadruped) == ("quadruped", True), "a draft has ranges of its own"
     monkeypatch.setenv("POLYPOD_PATH", str(tmp_path / "drafts"))
     assert not (tmp_path / "drafts/configs/robots/drafted_spot.toml").exists()
     robots = ["drafted_bolt", "stiff", str(drafted), "rigid"]
