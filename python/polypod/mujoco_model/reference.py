@@ -149,6 +149,22 @@ def states(model: Any, count: int, flag: str) -> list[Any]:
         ) from error
 
 
+def damping_rate(model: Any, dofs: npt.NDArray[np.intp], damping: Array) -> float:
+    """The fastest rate at which the damping of actuators slows joints down, 1/s.
+
+    Args:
+        model: a `mujoco.MjModel`, in the state that it begins in.
+        dofs: velocities of the joints.
+        damping: of their actuators, N m s/rad.
+    """
+    mj = mujoco()
+    data = mj.MjData(model)
+    mj.mj_forward(model, data)
+    inverse, roots = np.zeros((model.nv, model.nv)), np.sqrt(damping)
+    mj.mj_solveM(model, data, inverse, np.eye(model.nv))
+    return float(np.linalg.eigvalsh(roots[:, None] * inverse[np.ix_(dofs, dofs)] * roots)[-1])
+
+
 class Reference:
     """One robot in MuJoCo.
 

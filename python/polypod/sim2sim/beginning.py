@@ -26,8 +26,13 @@ from polypod.vector_env import simulator
 MAX_STEPS = 50_000_000
 """Control steps of all envs together. Their commands are drawn ahead, 24 bytes each."""
 DT_ON_TERRAIN = 0.002
-"""MuJoCo's step on terrain where none is named, s: its own default. At 5 ms some robots are thrown
-off steep faces."""
+"""MuJoCo's step at most on terrain where none is named, s: its own default. At 5 ms some robots are
+thrown off steep faces."""
+DT_OF_LIGHT_JOINTS = 0.002
+"""The same of robots with joints whose damping is much faster than the steps. At 5 ms such legs
+slide, drift and fall under policies that lead them at 2 ms."""
+COARSE = 5.0
+"""Times of the fastest damping of joints that a step may take."""
 MARGIN = 30.0
 """Level ground beyond that of the task, m: an episode leads some robots off their terrain."""
 
@@ -53,7 +58,8 @@ class Options:
     """"walking" for the schedule that walking is judged by, "task" for commands as the task draws
     them."""
     dt: float | None = None
-    """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`."""
+    """MuJoCo's physics step, s. None: the task's, on terrain at most `DT_ON_TERRAIN`, of robots
+    with light joints at most `DT_OF_LIGHT_JOINTS`."""
     integrator: reference.Integrator = "implicitfast"
     friction: float | None = None
     """Friction of the ground in MuJoCo. None: the task's static one."""
@@ -134,11 +140,17 @@ class Beginning:
         # a pose's height is the world's already
         self.places = self.sim.env_origins() * [1.0, 1.0, 0.0]
         self.task_dt: float = self.task["sim"]["dt"]
-        self.physics = physics_of(
-            self.task, options, self.task_dt if self.heights is None else min(self.task_dt, DT_ON_TERRAIN)
-        )
+        most = math.inf if self.heights is None else DT_ON_TERRAIN
+        self.physics = physics_of(self.task, options, self.at_most(self.task_dt, most))
+        self.names_step = options.dt is not None
+        self.finer: dict[str, float] = {}
+        """Steps of MuJoCo, s, of the robots made so far that have finer ones."""
         self.start = {name: (self.sim.qpos(name), self.sim.qvel(name)) for name in self.sim.robots}
         self.outlines: dict[str, Any] = simulated.shapes(self.sim)
+
+    def at_most(self, dt: float, most: float) -> float:
+        """A step of at most `most` of which whole ones make up the control step, s."""
+        return dt if dt <= most else self.step_dt / math.ceil(self.step_dt / most - 1e-6)
 
     def longest(self, options: Options) -> int:
         """Control steps of an episode where `options` do not say."""
@@ -215,7 +227,8 @@ def twin_of(
 ) -> Twin:
     """One robot of an episode in MuJoCo, before its first reset.
 
-    `late` physics steps are added to its delays.
+    Its steps are finer where its damping is much faster than those of the episode, and no step is
+    named. `late` physics steps are added to its delays.
     """
     robot = model_robot.of(episode.sim, name, source)
     ends = episode.ends(name, interface)
@@ -226,7 +239,13 @@ def twin_of(
         places=episode.places[slice(*episode.sim.env_ids(name))],
         gravity=episode.sim.gravity,
     )
-    return Twin(robot, bodies, episode.physics, drive)
+    twin, dt = Twin(robot, bodies, episode.physics, drive), episode.physics.dt
+    rate = reference.damping_rate(twin.reference.model, twin.reference.v[6:], robot.actuators.damping)
+    finer = episode.at_most(dt, DT_OF_LIGHT_JOINTS)
+    if episode.names_step or dt * rate <= COARSE or finer == dt:
+        return twin
+    episode.finer[name] = finer
+    return Twin(robot, bodies, dataclasses.replace(episode.physics, dt=finer), drive)
 
 
 def begun(

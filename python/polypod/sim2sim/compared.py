@@ -33,6 +33,8 @@ class Compared(Generic[Robot]):
     physics: Physics
     robots: dict[str, Robot]
     measured: Measured
+    finer: dict[str, float] = dataclasses.field(default_factory=dict)
+    """MuJoCo's physics steps, s, of robots that have finer ones, as their joints are light."""
 
     @property
     def transfers(self) -> bool:

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from polypod import _core, rotations
 from polypod.arrays import Array
-from polypod.mujoco_model.reference import Heights, Reference, mujoco
+from polypod.mujoco_model.reference import Heights, Reference, damping_rate, mujoco
 from polypod.mujoco_model.robot import Robot
 from polypod.sim2sim import mapping, mjcf
 from polypod.sim2sim.driven import Drive, Driven
@@ -388,12 +388,7 @@ class Model:
         is_ours = self.is_policys | np.array([own is not None and self._kinds[own] == "motor" for own in self._own])
         if self.choices.dt is not None or int(model.opt.integrator) in implicit or not is_ours.any():
             return
-        data = mj.MjData(model)
-        mj.mj_forward(model, data)
-        inverse = np.zeros((model.nv, model.nv))
-        mj.mj_solveM(model, data, inverse, np.eye(model.nv))
-        dofs, roots = self.v[6:][is_ours], np.sqrt(self.robot.actuators.damping[is_ours])
-        rate = float(np.linalg.eigvalsh(roots[:, None] * inverse[np.ix_(dofs, dofs)] * roots)[-1])
+        rate = damping_rate(model, self.v[6:][is_ours], self.robot.actuators.damping[is_ours])
         parts = int(np.ceil(self.dt * rate / STABLE))
         if parts > 1:
             model.opt.timestep = self.dt / parts

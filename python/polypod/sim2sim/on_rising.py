@@ -88,7 +88,7 @@ def compare(
     for source, (name, interface) in zip(sources, known.items(), strict=True):
         twin, step = begun(poses, name, source, interface, policies[name])
         results[name] = BothRising(ours[name], _in_mujoco(poses, name, twin, step, progress))
-    return RisingComparison(**conditions, robots=results)
+    return RisingComparison(**conditions, robots=results, finer=poses.finer)
 
 
 def _in_polypod(poses: Poses, policy: Policy, progress: Progress) -> dict[str, Rising]:

@@ -1,6 +1,9 @@
 """Report of `polypod sim2sim`: a table with both simulators side by side."""
 
 import math
+from collections.abc import Mapping
+
+from rich.console import Console
 
 from polypod.evaluation import rising
 from polypod.sim2sim.on_rising import RisingComparison
@@ -38,6 +41,7 @@ def show(comparison: Comparison) -> None:
             "yes" if robot.transfers else "no",
         )
     table.print(console)
+    _show_finer(console, comparison.finer)
     for name, robot in comparison.robots.items():
         if robot.why_not:
             console.print(f"  {name} in MuJoCo: {'; '.join(robot.why_not)}", markup=False)
@@ -69,12 +73,21 @@ def show_rising(comparison: RisingComparison) -> None:
         times = (f"{figures.least_held_s:.1f} s" for figures in both)
         table.add_row(name, *rates, *after, *times, "yes" if robot.transfers else "no")
     table.print(console)
+    _show_finer(console, comparison.finer)
 
 
 def _stepped(version: str, physics: Physics) -> str:
     """Says how MuJoCo steps."""
     soft = ", soft contact" if physics.soft_contact else ""
     return f"MuJoCo {version}, {physics.integrator} at {1e3 * physics.dt:g} ms, friction {physics.friction:g}{soft}"
+
+
+def _show_finer(console: Console, finer: Mapping[str, float]) -> None:
+    """Says which robots have finer steps."""
+    for dt in sorted(set(finer.values())):
+        robots = ", ".join(name for name, own in finer.items() if own == dt)
+        steps = f"steps of {1e3 * dt:.3g} ms, as their joints are light; --dt gives others"
+        console.print(f"  {robots} in MuJoCo: {steps}", markup=False)
 
 
 def _known(figures: Figures, key: str, form: str) -> str:

@@ -141,7 +141,7 @@ def compare(
         theirs = _run_mujoco(episode, name, source, interface, policy, progress, watch)
         results[name] = RobotComparison(in_polypod[name], theirs, episode.is_whole)
     distances = descriptions.distances(manifest, sources, str(checkpoint))
-    return Comparison(**conditions, robots=results, distances=distances)
+    return Comparison(**conditions, robots=results, finer=episode.finer, distances=distances)
 
 
 def conditions_of(

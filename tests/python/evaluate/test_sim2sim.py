@@ -15,12 +15,15 @@ from polypod.evaluation import load_network, walking
 from polypod.export import OnnxPolicy, interfaces, onnx_graph
 from polypod.export.torch_graph import RobotPolicy
 from polypod.mujoco_model import robot as model_robot
+from polypod.policy import load
 from polypod.runs import run_dir
 from polypod.sim2sim import beginning, commands, run, twin
 
 TASK = "Velocity-Flat-Universal-Play-v0"
 CLOSE = 0.1
 """Largest difference of the velocity errors in the two simulators, m/s."""
+SLIDES = 0.03
+"""The same of a small robot."""
 
 
 def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, overrides=(), physics=None):
@@ -283,6 +286,33 @@ def test_soles_stand_on_level_heights_as_on_a_plane():
     assert robot.mujoco.fall_rate == 0.0
     assert abs(robot.mujoco.error_vel_xy - robot.polypod.error_vel_xy) < CLOSE
     assert abs(robot.mujoco.error_vel_yaw - robot.polypod.error_vel_yaw) < CLOSE
+
+
+def test_robots_with_light_joints_take_finer_steps(capsys):
+    """At 5 ms PhantomX slides."""
+    arguments = ["sim2sim", "--checkpoint", str(LEGGED_POLICY), "--robots", "phantomx,unitree_a1", "--num-envs", "2"]
+    polypod.cli.main([*arguments, "--steps", "150", "--command", "0.1", "0", "0"])
+    output = capsys.readouterr().out
+    assert "implicitfast at 5 ms" in output
+    assert "phantomx in MuJoCo: steps of 2 ms" in output
+    options = sim2sim.Options(envs_per_robot=2, steps=150, command=(0.1, 0.0, 0.0))
+    found = sim2sim.compare(LEGGED_POLICY, ["phantomx", "unitree_a1"], options)
+    assert found.finer == {"phantomx": 0.002}
+    for robot in found.robots.values():
+        assert abs(robot.mujoco.error_vel_xy - robot.polypod.error_vel_xy) < SLIDES
+    named = sim2sim.compare(LEGGED_POLICY, ["phantomx"], dataclasses.replace(options, dt=0.005))
+    assert not named.finer
+    slides = named.robots["phantomx"]
+    assert abs(slides.mujoco.error_vel_xy - slides.polypod.error_vel_xy) > SLIDES
+
+
+def test_finer_steps_make_up_control_steps_of_any_length():
+    loaded = load(LEGGED_POLICY)
+    options = sim2sim.Options(envs_per_robot=1, overrides=("sim.decimation=3",))
+    episode = run.Episode(loaded.manifest, ["phantomx", "unitree_a1"], options)
+    for name, interface in interfaces(loaded.manifest, ["phantomx", "unitree_a1"]).items():
+        beginning.twin_of(episode, name, name, interface, OnnxPolicy.of(loaded.network, interface))
+    assert episode.finer == {"phantomx": pytest.approx(0.015 / 8)}
 
 
 def test_a_robot_that_slips_does_not_transfer(capsys):
