@@ -61,6 +61,12 @@ def robots(sim: _core.VecSim) -> dict[str, RobotInfo]:
     return found
 
 
+def standing_height(info: RobotInfo) -> float:
+    """Height at which a robot stands, m: `MorphologyModel::standing_height`."""
+    height, hips = info["base_height"], info["base_height"] + info["hip_height"]
+    return height if height >= 0.5 * hips else hips
+
+
 def shapes(sim: _core.VecSim) -> dict[str, Any]:
     """Links and collision shapes of each robot; see `VecSim.robot_shapes`."""
     found: dict[str, Any] = json.loads(sim.robot_shapes())

@@ -230,6 +230,15 @@ impl MorphologyModel {
         self.delays.iter().map(|(range, _)| range[1]).max().unwrap_or(0) + self.max_action_delay
     }
 
+    /// Height at which a robot stands whose base is at `height` in the default pose, m: that of its
+    /// base, or of its hips where the frame of the base lies below half their height and says
+    /// little.
+    #[inline(always)]
+    pub fn standing_height(&self, height: f32) -> f32 {
+        let hips = height + self.hip_height;
+        if height >= 0.5 * hips { height } else { hips }
+    }
+
     /// Height of the base above the ground, m, at which a robot has sunk to `share` of its height
     /// in the default pose, in which the base is at `height`.
     ///

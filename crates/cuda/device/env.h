@@ -331,6 +331,10 @@ FN void count_times(Env *v) {
     }
 }
 FN float default_height(const Env *v) { return X(K(X_SPAWN)) - F(F_MARGIN); }
+FN float standing_height(const Env *v, float above_base) {
+    float height = default_height(v), hips = height + above_base;
+    return height >= 0.5f * hips ? height : hips;
+}
 
 /* terminate.rs */
 FN int within(const float *x, int n, float limit) {
@@ -800,11 +804,11 @@ FN float reward_of(const Env *v, int form) {
     case REWARD_RAIBERT_HEURISTIC: return raibert_heuristic(v, at);
     case REWARD_FEET_CLEARANCE_CMD_LINEAR: return feet_clearance(v, at);
     case REWARD_SCALED_TORQUES_L2: {
-        float load = X(K(X_MASS)) * F(F_FREE_FALL) * default_height(v);
+        float load = X(K(X_MASS)) * F(F_FREE_FALL) * standing_height(v, F(at));
         return load > 0.0f ? mean_square(&REPORT(R_EFFORT, 0), joints) / (load * load) : 0.0f;
     }
     default: {
-        float fall = F(F_FREE_FALL), unit = fall > 0.0f ? default_height(v) / fall : 0.0f;
+        float fall = F(F_FREE_FALL), unit = fall > 0.0f ? standing_height(v, F(at)) / fall : 0.0f;
         return mean_square(&REPORT(R_ACCELERATION, 0), joints) * (unit * unit);
     }
     }

@@ -23,8 +23,9 @@ class Body:
     """Names of its groups of actuators."""
     trunk_mass: float
     """Mass of the base with all that is fixed to it, kg."""
-    base_height: float
-    """Height of the base in the default pose, m."""
+    height: float
+    """Height at which it stands in the default pose, m: of its base, or of its hips where the frame of
+    the base lies low."""
     ranges: Mapping[str, tuple[float, float]]
     """Command box of the robot: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
 
@@ -48,7 +49,7 @@ def bodies(sim: _core.VecSim, sources: Iterable[str]) -> dict[str, Body]:
             kind=infos[name]["class"],
             actuator_groups=tuple(configs[name]["actuators"]),
             trunk_mass=trunk_mass(_core.robot_urdf(source), sim.link_names(name)[0], infos[name]["joint_names"]),
-            base_height=infos[name]["base_height"],
+            height=simulated.standing_height(infos[name]),
             ranges={key: (low, high) for key, (low, high) in ranges[name].items()},
         )
         for name, source in zip(sim.robots, sources, strict=True)

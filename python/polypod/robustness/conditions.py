@@ -157,7 +157,7 @@ def _conditions() -> tuple[Condition, ...]:
             Condition(
                 f"com_{name}",
                 "com",
-                f"trunk's centre of mass {name} by {100.0 * max(map(abs, shift)):.0f} % of the base's height",
+                f"trunk's centre of mass {name} by {100.0 * max(map(abs, shift)):.0f} % of the robot's height",
                 usual,
                 overrides.trunk_com(*shift),
                 twins.trunk_com(*shift),

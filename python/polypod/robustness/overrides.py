@@ -51,11 +51,11 @@ def trunk_mass(change: float) -> Overrides:
 
 
 def trunk_com(forward: float, left: float) -> Overrides:
-    """Shift of the trunk's centre of mass in shares of the base's height, base axes."""
+    """Shift of the trunk's centre of mass in shares of the robot's height, base axes."""
     return lambda body: [
         *_event("base_com"),
         *(
-            _range(body, f"base_com_offset.{axis}", share * body.base_height)
+            _range(body, f"base_com_offset.{axis}", share * body.height)
             for axis, share in (("x", forward), ("y", left), ("z", 0.0))
         ),
     ]

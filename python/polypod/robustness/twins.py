@@ -92,7 +92,7 @@ def trunk_mass(factor: float) -> Change:
 
 
 def trunk_com(forward: float, left: float) -> Change:
-    """Shift of the trunk's centre of mass in shares of the base's height, base axes.
+    """Shift of the trunk's centre of mass in shares of the robot's height, base axes.
 
     Inertias about the centre of mass stay. Every link of the trunk is shifted, so that their common
     centre is.
@@ -104,7 +104,7 @@ def trunk_com(forward: float, left: float) -> Change:
         data = mj.MjData(model)
         mj.mj_kinematics(model, data)
         axes = data.xmat.reshape(-1, 3, 3)
-        shift = axes[root] @ twin.base_axes @ [forward * body.base_height, left * body.base_height, 0.0]
+        shift = axes[root] @ twin.base_axes @ [forward * body.height, left * body.height, 0.0]
         for link in np.flatnonzero(model.body_weldid == root):
             model.body_ipos[link] += axes[link].T @ shift
             # else MuJoCo takes the frame of the link for that of its inertia

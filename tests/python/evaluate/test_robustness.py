@@ -101,7 +101,7 @@ def test_each_condition_changes_what_it_says_in_polypod(nominal, robot):
         np.testing.assert_allclose(read(name)["base_mass_offset"], share * known.trunk_mass, rtol=1e-5)
     for name, shift in (("com_forward", [0.1, 0.0]), ("com_backward", [-0.1, 0.0]), ("com_left", [0.0, 0.05])):
         np.testing.assert_allclose(
-            read(name)["base_com_offset"], [*(np.array(shift) * known.base_height), 0.0], rtol=1e-5, atol=1e-7
+            read(name)["base_com_offset"], [*(np.array(shift) * known.height), 0.0], rtol=1e-5, atol=1e-7
         )
     weak = read("torque_minus_20")
     for key in ("effort", "stiffness", "damping"):
@@ -155,7 +155,7 @@ def test_each_condition_changes_what_it_says_in_mujoco(mujoco, nominal):
         np.testing.assert_allclose(loaded.body_subtreemass[0], loaded.body_mass.sum())
         # the trunk is the one of polypod
         np.testing.assert_allclose(model.body_mass[trunk].sum(), nominal.robots["unitree_go1"].trunk_mass)
-    height = nominal.robots["unitree_go1"].base_height
+    height = nominal.robots["unitree_go1"].height
     for name, shift in (("com_forward", [0.1, 0.0]), ("com_backward", [-0.1, 0.0]), ("com_left", [0.0, 0.05])):
         shifted = change(name)[0]
         share = model.body_mass[trunk].sum() / model.body_mass.sum()

@@ -13,7 +13,7 @@ from test_new_robot import joint, link, quadruped
 
 import polypod
 from common import ROOT
-from polypod import _core, base_frames, bodies, massless_links
+from polypod import _core, base_frames, bodies, massless_links, simulated
 from polypod.new_robot import new_robot
 
 ON_SOLES = ["unitree_h1", "unitree_g1", "booster_t1", "berkeley_humanoid"]
@@ -181,6 +181,28 @@ def test_a_base_frame_below_the_soles_ends_no_episode(tmp_path, kind, height):
     # frame
     assert abs(falls - falls_below) <= 1
     assert env.state.base_pos[:, 2].max() < 0.3 * height
+
+
+@pytest.mark.parametrize(("kind", "height"), [("biped", 0.5), ("humanoid", 1.2), ("quadruped", 0.3)])
+def test_units_of_the_body_do_not_depend_on_its_frame(tmp_path, kind, height):
+    """A frame at the soles made a torque cost a million times as much, one below them nothing."""
+    text = bodies.urdf(bodies.draw(kind, "body", np.random.default_rng(7)))
+    costs: dict[str, list[float]] = {"scaled_torques_l2": [], "scaled_acc_l2": []}
+    for name, own in (("as_drawn", text), ("moved", moved_frame(text, height))):
+        file = tmp_path / f"{name}.urdf"
+        file.write_text(own)
+        config = str(new_robot(file, tmp_path / f"draft_{name}.toml").path)
+        for term, power in (("scaled_torques_l2", 2), ("scaled_acc_l2", -2)):
+            only = (f"rewards.only={{{term}={{weight=-1.0}}}}", f"robot_overrides.{name}.reward_set=only")
+            env = polypod.make("velocity_flat_legged", 1, robots=[config], seed=0, overrides=only)
+            env.reset()
+            stands = np.zeros((1, env.sim.num_actions), dtype=np.float32)
+            cost = -sum(float(env.step(stands)[1][0]) for _ in range(5))
+            info = simulated.robots(env.sim)[name]
+            assert simulated.standing_height(info) > 0.4 * (info["base_height"] + info["hip_height"])
+            costs[term].append(cost * simulated.standing_height(info) ** power)
+    for drawn, moved in costs.values():
+        assert moved == pytest.approx(drawn, rel=0.05)
 
 
 def crooked(forward, ankle):
