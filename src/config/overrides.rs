@@ -14,6 +14,10 @@ const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 3] = ["scene.terrain", "sensors.height_scanner", "sensors.ray_caster_camera"];
 
+/// Tables whose keys all have defaults, and which are absent from the resolved config where all of
+/// them are at their defaults. They are made on the way to a key.
+const IMPLIED: [&str; 2] = ["actions", "actions.joint_pos"];
+
 /// Key of the place after the last element of an array.
 const APPEND: &str = "+";
 
@@ -91,6 +95,9 @@ fn descend<'a>(
         node = match node {
             Value::Table(table) => {
                 if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
+                    table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                }
+                if IMPLIED.contains(&dotted(walked, key).as_str()) {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
                 }
                 if *walked == ["commands"] {
