@@ -121,8 +121,8 @@ impl BatchSlots {
 }
 
 impl Morphologies {
-    /// Makes the morphologies of a batch, whose columns are the slots that a policy drives in any of
-    /// them, and `more`.
+    /// Makes the morphologies of a batch, whose columns are the slots that a policy drives in any
+    /// of them, and `more`.
     pub fn in_batch(mut models: Vec<MorphologyModel>, more: &[Slot]) -> Self {
         let mut columns = BatchSlots { joints: more.to_vec(), feet: Vec::new() };
         for model in &models {
@@ -803,8 +803,8 @@ impl MorphologyModel {
         mirror
     }
 
-    /// Sign that the position of the slot of a physical joint takes at that of another one, which is
-    /// its mirror image.
+    /// Sign that the position of the slot of a physical joint takes at that of another one, which
+    /// is its mirror image.
     fn mirrored_sign(&self, joint: usize, other: usize) -> f32 {
         let axis = |joint: usize| self.topology.joints[joint].axis.direction();
         let ([x, y, z], [ox, oy, oz]) = (axis(joint), axis(other));

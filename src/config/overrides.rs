@@ -14,9 +14,9 @@ const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 3] = ["scene.terrain", "sensors.height_scanner", "sensors.ray_caster_camera"];
 
-/// Tables whose keys all have defaults, and which are absent from the resolved config where all of
-/// them are at their defaults. They are made on the way to a key.
-const IMPLIED: [&str; 2] = ["actions", "actions.joint_pos"];
+/// A table that the resolved config lacks where all its keys are at their defaults, and the table
+/// in it. Both are made on the way to a key.
+const IMPLIED: [&str; 2] = ["actions", "joint_pos"];
 
 /// Key of the place after the last element of an array.
 const APPEND: &str = "+";
@@ -97,8 +97,9 @@ fn descend<'a>(
                 if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
                 }
-                if IMPLIED.contains(&dotted(walked, key).as_str()) {
-                    table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                if walked.is_empty() && *key == IMPLIED[0] {
+                    let within = Table::from_iter([(IMPLIED[1].to_owned(), Value::Table(Table::new()))]);
+                    table.entry(*key).or_insert(Value::Table(within));
                 }
                 if *walked == ["commands"] {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));

@@ -68,7 +68,7 @@ impl OnJoints {
         }
         let joints = patterns.map(|patterns| {
             let is_named = |slot: &Slot| patterns.iter().any(|pattern| matches(pattern, &slot.to_string()));
-            // those that the policy does not drive are among them
+            // joints that the policy does not drive are among them
             let all = robot.roles.slots.iter().zip(&robot.roles.joint_of_slot);
             let mut joints: Vec<usize> = all.filter(|(slot, _)| is_named(slot)).map(|(_, &joint)| joint).collect();
             joints.sort_unstable();
