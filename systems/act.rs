@@ -22,7 +22,11 @@ impl Plugin for ActPlugin {
 }
 
 /// `target = default + scale * sign * action`, from slots to physical joints; the targets before
-/// become history. Actions in columns of slots that a robot lacks become zero.
+/// become history. Actions in columns of slots that a robot lacks, or that the task does not drive,
+/// become zero.
+///
+/// Joints that the task does not drive keep the default pose as their target: a reset writes it to
+/// the whole history.
 ///
 /// The first action after a reset fills the whole history, so that a delayed actuator does not see
 /// an older episode.

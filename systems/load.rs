@@ -10,7 +10,7 @@ use super::{Setup, SetupSet};
 use crate::batch::Batch;
 use crate::blocks::BlockSizes;
 use crate::bounds::{BYTES_PER_ENV, check_num_envs, check_threads};
-use crate::config::{ConfigError, Library, LoadedRobot, LoadedTask, TaskConfig};
+use crate::config::{ConfigError, JointPositionActionConfig, Library, LoadedRobot, LoadedTask, TaskConfig};
 use crate::dynamics::ContactFriction;
 use crate::dynamics::lanes::Simd;
 use crate::engine::{Engines, history_length};
@@ -92,6 +92,7 @@ fn load_into(world: &mut World) -> Result<(), Error> {
     for warning in morphologies.iter().flat_map(|m| summed_up(&m.model.warnings)) {
         tracing::warn!("{warning}");
     }
+    let morphologies = driven(morphologies, &task.config)?;
     let mut morphologies = Morphologies::in_batch(morphologies, &slots(&options.slots)?);
     let engine = world.resource::<Engines>().of(&task.config)?;
     let compiled = CompiledTask::new(&task.config, &morphologies, world.resource::<Registry>())?;
@@ -147,6 +148,24 @@ fn bytes_per_env(morphology: &MorphologyModel, task: &CompiledTask) -> usize {
     let numbers = [task.num_obs(); 3].into_iter().chain([rays, late * morphology.topology.num_joints()]);
     let forces = morphology.feet.len() * task.config.sim.decimation as usize;
     numbers.chain([morphology.num_remembered(), forces]).fold(0, usize::saturating_add).saturating_mul(size_of::<f32>())
+}
+
+/// The morphologies with the joints that the task's policy drives.
+///
+/// # Errors
+/// A robot of which it would drive none.
+fn driven(mut morphologies: Vec<MorphologyModel>, task: &TaskConfig) -> Result<Vec<MorphologyModel>, ConfigError> {
+    let action = &task.actions.joint_pos;
+    for morphology in &mut morphologies {
+        morphology.drive_only(|slot| action.drives(slot));
+        if morphology.slots.is_empty() {
+            let problem = format!("no pattern matches a joint of {}", morphology.name());
+            let names: Vec<String> = morphology.roles.slots.iter().map(Slot::to_string).collect();
+            let remedy = format!("name some of its joints ({}), or leave the robot out", names.join(", "));
+            return Err(ConfigError::invalid(&task.name, JointPositionActionConfig::JOINT_NAMES, problem, remedy));
+        }
+    }
+    Ok(morphologies)
 }
 
 /// The slots with these names.

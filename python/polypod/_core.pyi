@@ -554,7 +554,8 @@ class VecSim:
         A limit that a joint lacks is null in `lower`, `upper` and `effort_limit`. `slots`,
         `columns`, `joint_of_slot` and `slot_signs` say of each of the robot's slots its name, its
         column of the action, its joint, and whether the joint turns as the slot does (1) or the
-        other way round (-1).
+        other way round (-1). Where a task drives some joints alone, these are theirs, and
+        `held_joints` lists the others.
         """
 
     def command_ranges(self) -> dict[str, dict[str, list[float]]]:

@@ -16,7 +16,23 @@ class _Networks(TypedDict, total=False):
     """Networks in the place of gains, with their inputs and joints."""
 
 
-class RobotInfo(_Class, _Networks):
+class HeldJoint(TypedDict):
+    """A joint that the policy does not drive."""
+
+    joint: int
+    slot: str
+    sign: float
+    """1 where the joint turns as its slot does, -1 where it turns the other way round."""
+
+
+class _Held(TypedDict, total=False):
+    """Keys of robots in tasks that drive some joints alone (`actions.joint_pos.joint_names`)."""
+
+    held_joints: list[HeldJoint]
+    """Joints that hold their default pose."""
+
+
+class RobotInfo(_Class, _Networks, _Held):
     """Numbers of a robot, joints in its own order; see `VecSim.robot_info`."""
 
     title: str
@@ -24,7 +40,7 @@ class RobotInfo(_Class, _Networks):
     """Mass of all links, kg."""
     joint_names: list[str]
     joint_of_slot: list[int]
-    """Joint that each of the robot's slots moves."""
+    """Joint that each of the robot's slots moves; slots that the task drives."""
     slots: list[str]
     slot_signs: list[float]
     """1 where a joint turns as its slot does, -1 where it turns the other way round."""
@@ -65,6 +81,13 @@ def standing_height(info: RobotInfo) -> float:
     """Height at which a robot stands, m: `MorphologyModel::standing_height`."""
     height, hips = info["base_height"], info["base_height"] + info["hip_height"]
     return height if height >= 0.5 * hips else hips
+
+
+def slot_of_joint(info: RobotInfo) -> dict[int, tuple[str, float]]:
+    """Slot and direction of each joint, driven or held."""
+    driven = zip(info["joint_of_slot"], info["slots"], info["slot_signs"], strict=True)
+    held = ((held["joint"], held["slot"], held["sign"]) for held in info.get("held_joints", ()))
+    return {joint: (slot, sign) for joint, slot, sign in (*driven, *held)}
 
 
 def shapes(sim: _core.VecSim) -> dict[str, Any]:

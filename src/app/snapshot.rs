@@ -7,7 +7,7 @@ use super::Sim;
 use crate::batch::Batch;
 use crate::components::{Body, Morphology, Stance};
 use crate::error::Error;
-use crate::morphology::Morphologies;
+use crate::morphology::{Morphologies, MorphologyModel};
 use crate::robot::Slot;
 use crate::sealed::{self, Header};
 use crate::systems::{
@@ -50,9 +50,10 @@ impl Sim {
     fn header(&self) -> Header {
         let robots: Vec<&str> = self.morphologies().iter().map(|m| m.name()).collect();
         let mut robots = robots.join(", ");
-        // slots that none of the robots has
+        // columns beyond those of the joints that the task drives
         let slots = self.slots().joints.iter();
-        let is_absent = |slot: &&Slot| !self.morphologies().iter().any(|robot| robot.roles.slots.contains(slot));
+        let is_own = |slot: &Slot, robot: &MorphologyModel| robot.slots.iter().any(|own| own.slot == *slot);
+        let is_absent = |slot: &&Slot| !self.morphologies().iter().any(|robot| is_own(slot, robot));
         slots.filter(is_absent).for_each(|slot| robots += &format!(", {slot}"));
         Header::new(KIND, FORMAT, robots, self.config_hash(), self.share().num_envs)
     }

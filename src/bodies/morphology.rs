@@ -41,7 +41,8 @@ pub struct MorphologyModel {
     /// The joints of a quadruped's legs, `[role][leg]` in the order of [`ROLES`](robot::ROLES) and
     /// [`LEGS`](robot::LEGS), if it has them all.
     pub quadruped: Option<QuadrupedJoints>,
-    /// The robot's slots, in order: the joints of its actions and per-joint observations.
+    /// The slots that the policy drives, in order: the joints of its actions and per-joint
+    /// observations. All others of [`roles`](Self::roles) hold their default pose.
     pub slots: Vec<SlotJoint>,
     /// Stance of a robot with the body of the URDF.
     pub stance: Stance,
@@ -120,12 +121,12 @@ impl BatchSlots {
 }
 
 impl Morphologies {
-    /// Makes the morphologies of a batch, whose columns are the slots that any of them has, and
-    /// `more`.
+    /// Makes the morphologies of a batch, whose columns are the slots that a policy drives in any
+    /// of them, and `more`.
     pub fn in_batch(mut models: Vec<MorphologyModel>, more: &[Slot]) -> Self {
         let mut columns = BatchSlots { joints: more.to_vec(), feet: Vec::new() };
         for model in &models {
-            columns.joints.extend(&model.roles.slots);
+            columns.joints.extend(model.slots.iter().map(|own| own.slot));
             columns.feet.extend(&model.roles.legs);
         }
         columns.joints.sort_unstable();
@@ -256,28 +257,40 @@ impl MorphologyModel {
         self.topology.has_delay |= most > 0;
     }
 
+    /// Lets the policy drive the joints of some slots alone. All others hold their default pose and
+    /// have no columns.
+    pub(crate) fn drive_only(&mut self, is_driven: impl Fn(&Slot) -> bool) {
+        self.slots.retain(|own| is_driven(&own.slot));
+    }
+
     /// Enables kinds of friction with the ground beyond sliding, in addition to those of the
     /// robot's surfaces.
     pub(crate) fn allow_friction(&mut self, friction: ContactFriction) {
         self.topology.friction = friction.max(self.topology.friction);
     }
 
-    /// Names of the slots' joints in the URDF.
+    /// Names of the driven slots' joints in the URDF.
     pub fn joint_names_by_slot(&self) -> Vec<&str> {
         self.slots.iter().map(|slot| self.model.joints[slot.joint()].name.as_str()).collect()
     }
 
-    /// Sign of the slot of a physical joint; 1 for a joint without one.
+    /// Sign of the slot of a physical joint, driven or not; 1 for a joint without one.
     pub fn sign_of(&self, joint: usize) -> f32 {
-        self.slots.iter().find(|slot| slot.joint() == joint).map_or(1.0, |slot| slot.sign)
+        let at = self.roles.joint_of_slot.iter().position(|own| *own == joint);
+        at.map_or(1.0, |at| self.roles.sign_of_slot[at] as f32)
     }
 
-    /// Physical joint of each slot.
+    /// Canonical position at which a leg hangs straight at this slot, rad; 0 elsewhere.
+    pub(crate) fn zero_of(&self, slot: &SlotJoint) -> f64 {
+        self.roles.slots.binary_search(&slot.slot).map_or(0.0, |at| self.roles.zero_of_slot[at])
+    }
+
+    /// Physical joint of each driven slot.
     pub fn joint_of_slot(&self) -> Vec<usize> {
         self.slots.iter().map(|slot| slot.joint()).collect()
     }
 
-    /// Whether the robot has each of `columns`.
+    /// Whether the policy drives a joint of the robot in each of `columns`.
     pub fn action_mask(&self, columns: usize) -> Vec<bool> {
         let mut mask = vec![false; columns];
         self.slots.iter().for_each(|slot| mask[slot.column()] = true);
@@ -578,14 +591,17 @@ pub struct RobotDescription {
     pub actuator_networks: Vec<NetworkDescription>,
     /// Names in the URDF.
     pub joint_names: Vec<String>,
-    /// Physical index of the joint in each of the robot's slots.
+    /// Physical index of the joint in each of the robot's slots that the policy drives.
     pub joint_of_slot: Vec<usize>,
-    /// Names of its slots.
+    /// Names of these slots.
     pub slots: Vec<String>,
     /// For each slot, 1, or -1 where the joint's own positive direction is opposite to the slot's.
     pub slot_signs: Vec<f32>,
     /// For each slot, its column in the batch.
     pub columns: Vec<usize>,
+    /// Joints that the policy does not drive: they hold their default pose.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub held_joints: Vec<HeldJoint>,
     /// `biped`, `humanoid`, `quadruped`, `hexapod` ...
     pub class: String,
     /// Joint positions of the default pose, rad.
@@ -617,6 +633,17 @@ pub struct RobotDescription {
     /// For each slot the one on the robot's other side, and the sign that its position takes there:
     /// the mirror image of a pose about the plane between left and right.
     pub mirror: Vec<(usize, f32)>,
+}
+
+/// A joint that the policy does not drive.
+#[derive(serde::Serialize, Clone, Debug, PartialEq)]
+pub struct HeldJoint {
+    /// Physical index.
+    pub joint: usize,
+    /// Name of its slot.
+    pub slot: String,
+    /// 1, or -1 where the joint's own positive direction is opposite to the slot's.
+    pub sign: f32,
 }
 
 /// A network that gives the torque of joints; SI units.
@@ -696,6 +723,7 @@ impl MorphologyModel {
             slots: self.slots.iter().map(|slot| slot.slot.to_string()).collect(),
             slot_signs: self.slots.iter().map(|slot| slot.sign).collect(),
             columns: self.slots.iter().map(|slot| slot.column()).collect(),
+            held_joints: self.held_joints(),
             class: self.roles.class().to_owned(),
             legs: self.roles.legs.iter().map(|place| place.name().to_owned()).collect(),
             default_pose: self.stance.default_position.to_vec(),
@@ -715,6 +743,14 @@ impl MorphologyModel {
         }
     }
 
+    fn held_joints(&self) -> Vec<HeldJoint> {
+        let roles = self.roles.slots.iter().zip(&self.roles.joint_of_slot);
+        let is_held = |(_, joint): &(&Slot, &usize)| self.slots.iter().all(|own| own.joint() != **joint);
+        let describe =
+            |(slot, &joint): (&Slot, &usize)| HeldJoint { joint, slot: slot.to_string(), sign: self.sign_of(joint) };
+        roles.filter(is_held).map(describe).collect()
+    }
+
     fn describe_networks(&self) -> Vec<NetworkDescription> {
         let groups = self.config.actuators.iter().filter(|(_, actuator)| actuator.model.is_network());
         let describe =
@@ -732,10 +768,26 @@ impl MorphologyModel {
         groups.zip(&self.networks).map(describe).collect()
     }
 
-    /// Slot on the other side of each of the robot's slots, and the sign that its position takes
-    /// there.
+    /// Driven slot on the other side of each driven slot, and the sign that its position takes
+    /// there. A slot whose counterpart is absent or not driven is its own.
     pub fn mirrored_slots(&self) -> Vec<(usize, f32)> {
-        (0..self.slots.len()).map(|slot| self.mirror(slot)).collect()
+        let mirror = |(at, own): (usize, &SlotJoint)| {
+            let other = self.slots.binary_search_by_key(&own.slot.mirrored(), |other| other.slot).unwrap_or(at);
+            (other, self.mirrored_sign(own.joint(), self.slots[other].joint()))
+        };
+        self.slots.iter().enumerate().map(mirror).collect()
+    }
+
+    /// Slot on the other side of each of the robot's slots, driven or not, and the sign that its
+    /// position takes there.
+    pub fn mirrored_roles(&self) -> Vec<(usize, f32)> {
+        let (slots, joints) = (&self.roles.slots, &self.roles.joint_of_slot);
+        let mirror = |(at, slot): (usize, &Slot)| {
+            // a limb without a counterpart is its own
+            let other = slots.binary_search(&slot.mirrored()).unwrap_or(at);
+            (other, self.mirrored_sign(joints[at], joints[other]))
+        };
+        slots.iter().enumerate().map(mirror).collect()
     }
 
     /// Column on the other side of each of the `columns` of a batch, and the sign there; columns
@@ -760,14 +812,14 @@ impl MorphologyModel {
         mirror
     }
 
-    fn mirror(&self, slot: usize) -> (usize, f32) {
-        // a limb without a counterpart is its own
-        let other = self.roles.slots.binary_search(&self.slots[slot].slot.mirrored()).unwrap_or(slot);
-        let axis = |slot: usize| self.topology.joints[self.slots[slot].joint()].axis.direction();
-        let ([x, y, z], [ox, oy, oz]) = (axis(slot), axis(other));
+    /// Sign that the position of the slot of a physical joint takes at that of another one, which
+    /// is its mirror image.
+    fn mirrored_sign(&self, joint: usize, other: usize) -> f32 {
+        let axis = |joint: usize| self.topology.joints[joint].axis.direction();
+        let ([x, y, z], [ox, oy, oz]) = (axis(joint), axis(other));
         // axes of rotation are mirrored as pseudovectors
         let sign = if y * oy - x * ox - z * oz < 0.0 { -1.0 } else { 1.0 };
-        (other, sign * self.slots[slot].sign * self.slots[other].sign)
+        sign * self.sign_of(joint) * self.sign_of(other)
     }
 
     /// Largest effort of a joint at any position, N m, infinity without a limit; `body` holds the

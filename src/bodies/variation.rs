@@ -122,13 +122,13 @@ impl BodyScales {
 
     /// The default pose with legs more or less bent and spread, within the joints' limits.
     fn pose(&self, model: &MorphologyModel, p: &Parameters<f64>, position: &mut [f32]) {
-        for slot in &model.slots {
-            let (role, joint) = (slot.slot.role, slot.joint());
+        for (slot, &joint) in model.roles.slots.iter().zip(&model.roles.joint_of_slot) {
+            let role = slot.role;
             let q = f64::from(position[joint]);
             let new = if role.is_abduction() {
                 // a positive turn about the forward axis spreads the left legs
                 let [forward, ..] = model.topology.joints[joint].axis.direction();
-                let is_outward = (slot.slot.place.side() == Side::Left) == (forward > 0.0);
+                let is_outward = (slot.place.side() == Side::Left) == (forward > 0.0);
                 if is_outward { q + self.default_abduction } else { q - self.default_abduction }
             } else if role.is_flexion() {
                 q * self.default_flexion

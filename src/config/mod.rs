@@ -31,16 +31,16 @@ pub use robot::{
     ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, InputOrder, JointPositionMode,
     JointPositionReset, RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,
 };
-pub(crate) use robot::{matches, table_steps};
+pub(crate) use robot::{check_pattern, matches, table_steps};
 pub use scene::{FrictionCombine, GroundConfig, ObstacleConfig, Placement, SceneConfig};
 pub use sensors::{CameraMountConfig, DepthClipping, DepthData, PinholeCameraPatternConfig, RayCasterCameraConfig};
 pub(crate) use suggest::did_you_mean;
 pub use surfaces::SurfaceConfig;
 pub use task::{
-    AVIAN_SUBSTEPS, CommandConfig, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig, EventMode,
-    ExternalConfig, ExternalKind, HeightScannerConfig, MaterialConfig, ObservationTerm, ObservationsConfig,
-    POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig, TaskConfig, VELOCITY_COLUMNS,
-    VELOCITY_COMMAND, VelocityCommandConfig,
+    AVIAN_SUBSTEPS, ActionsConfig, CommandConfig, CommandsConfig, CurriculumConfig, EARTH_GRAVITY, EventConfig,
+    EventMode, ExternalConfig, ExternalKind, HeightScannerConfig, JointPositionActionConfig, MaterialConfig,
+    ObservationTerm, ObservationsConfig, POLICY_GROUP, PhysicsConfig, RewardConfig, SensorsConfig, SimConfig,
+    TaskConfig, VELOCITY_COLUMNS, VELOCITY_COMMAND, VelocityCommandConfig,
 };
 pub use terrain::{Columns, ScaleBy, SubTerrainConfig, TerrainConfig};
 pub(crate) use tiles::RepeatedObject;

@@ -14,6 +14,10 @@ const OPEN: [&str; 2] = ["robot_overrides", "env_shares"];
 /// Tables that a task may lack: they are then absent from the keys of its resolved config.
 const OPTIONAL: [&str; 3] = ["scene.terrain", "sensors.height_scanner", "sensors.ray_caster_camera"];
 
+/// A table that the resolved config lacks where all its keys are at their defaults, and the table
+/// in it. Both are made on the way to a key.
+const IMPLIED: [&str; 2] = ["actions", "joint_pos"];
+
 /// Key of the place after the last element of an array.
 const APPEND: &str = "+";
 
@@ -92,6 +96,10 @@ fn descend<'a>(
             Value::Table(table) => {
                 if OPEN.contains(&walked.first().map_or(*key, String::as_str)) {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));
+                }
+                if walked.is_empty() && *key == IMPLIED[0] {
+                    let within = Table::from_iter([(IMPLIED[1].to_owned(), Value::Table(Table::new()))]);
+                    table.entry(*key).or_insert(Value::Table(within));
                 }
                 if *walked == ["commands"] {
                     table.entry(*key).or_insert_with(|| Value::Table(Table::new()));

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::bounds::{MAX_DELAY, Shown};
-use crate::robot::{CANONICAL_JOINT_NAMES, Place, Side, Slot};
+use crate::robot::{CANONICAL_JOINT_NAMES, Place, Role, Side, Slot};
 
 use super::error::{ConfigError, ConfigErrorKind};
 use super::quantities::{
@@ -751,6 +751,24 @@ pub(crate) fn matches(pattern: &str, name: &str) -> bool {
             rest.char_indices().map(|(at, _)| &rest[at..]).chain([""]).any(|tail| matches(after, tail))
         }),
     }
+}
+
+/// Key, problem and remedy of a pattern that matches the name of no joint that any robot could
+/// have.
+pub(crate) fn check_pattern(element: &str, pattern: &str) -> Result<(), (String, String, String)> {
+    let slots = || {
+        let of = |place: Place| Role::ALL.into_iter().map(move |role| Slot::new(place, role).to_string());
+        Place::ALL.into_iter().flat_map(of).filter(|name| Slot::parse(name).is_some())
+    };
+    let numbered = |name: String| (1..10).map(move |n| if n == 1 { name.clone() } else { format!("{name}_{n}") });
+    if slots().flat_map(numbered).any(|name| matches(pattern, &name)) {
+        return Ok(());
+    }
+    let roles = Role::ALL.map(Role::name).join(", ");
+    let places = Place::ALL.map(Place::name).join(", ");
+    let remedy =
+        format!("joints are named PLACE_ROLE, `*` stands for any run of letters; places: {places}; roles: {roles}");
+    Err((element.to_owned(), format!("`{pattern}` matches the name of no joint"), remedy))
 }
 
 #[cfg(test)]

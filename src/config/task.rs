@@ -14,12 +14,14 @@ use super::quantities::{
     Bound, Duration, Extent, Factor, FrictionCoefficient, FrictionLength, Gain, Gravity, Length, Noise, PushSpeed,
     Time, Weight,
 };
+use super::robot::{check_pattern, matches};
 use super::scene::{ObstacleConfig, SceneConfig};
 use super::sensors::RayCasterCameraConfig;
 use super::suggest::{did_you_mean, is_slip};
 use super::values;
 use crate::bounds::{MAX_DECIMATION, MAX_EXTERNAL, MAX_HISTORY, MAX_SUBSTEPS, MAX_SWEEPS};
 use crate::dynamics::SWEEPS;
+use crate::robot::Slot;
 
 /// Commands, scene and rewards of the robots. SI units; world z up, base x forward, y left.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -54,6 +56,9 @@ pub struct TaskConfig {
     /// Commands of the policy.
     #[serde(default)]
     pub commands: CommandsConfig,
+    /// Actions of the policy. Default: all joints' positions.
+    #[serde(default, skip_serializing_if = "ActionsConfig::is_default")]
+    pub actions: ActionsConfig,
     /// Sensors beyond those that every robot has.
     #[serde(default)]
     pub sensors: SensorsConfig,
@@ -189,6 +194,57 @@ pub struct MaterialConfig {
     /// Share of the approach speed that is given back, 0 to 1.
     #[serde(deserialize_with = "values::fraction")]
     pub restitution: f64,
+}
+
+/// Actions of the policy.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ActionsConfig {
+    /// Targets of joint positions.
+    pub joint_pos: JointPositionActionConfig,
+}
+
+impl ActionsConfig {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Actions that are targets of joint positions, about the default pose.
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct JointPositionActionConfig {
+    /// Joints that the policy drives: patterns on canonical names, such as `*_KNEE`; `*` stands for
+    /// any run of letters. All other joints hold their default pose by the gains of their
+    /// actuators, and have no column in actions and observations. Default: all joints.
+    pub joint_names: Vec<String>,
+}
+
+impl Default for JointPositionActionConfig {
+    fn default() -> Self {
+        Self { joint_names: vec!["*".into()] }
+    }
+}
+
+impl JointPositionActionConfig {
+    /// Path of `joint_names` in a task.
+    pub(crate) const JOINT_NAMES: &str = "actions.joint_pos.joint_names";
+
+    /// Whether the policy drives the joints of this slot.
+    pub(crate) fn drives(&self, slot: &Slot) -> bool {
+        let name = slot.to_string();
+        self.joint_names.iter().any(|pattern| matches(pattern, &name))
+    }
+
+    /// Element, problem and remedy of patterns that drive no joint of any robot.
+    fn problem(&self) -> Option<(String, String, String)> {
+        if self.joint_names.is_empty() {
+            let remedy = "name the joints, as in [\"*_KNEE\"], or remove it: the policy then drives all joints";
+            return Some((Self::JOINT_NAMES.into(), "the policy drives no joint".into(), remedy.into()));
+        }
+        let mut patterns = self.joint_names.iter().enumerate();
+        patterns.find_map(|(index, pattern)| check_pattern(&format!("{}[{index}]", Self::JOINT_NAMES), pattern).err())
+    }
 }
 
 /// Commands, by name.
@@ -686,6 +742,9 @@ impl TaskConfig {
         }
         if let Some((element, problem, remedy)) = self.scene.problem() {
             return invalid(element, problem, remedy);
+        }
+        if let Some((element, problem, remedy)) = self.actions.joint_pos.problem() {
+            return invalid(element, &problem, &remedy);
         }
         for (name, event) in &self.events {
             let element = format!("events.{name}.interval_range_s");

@@ -7,10 +7,10 @@ use serde::Deserialize;
 
 use super::{norm, sum_of_squares};
 use crate::config::quantities::SpeedThreshold;
-use crate::config::{matches, values};
+use crate::config::{check_pattern, matches, values};
 use crate::engine::device::FormKind;
 use crate::morphology::MorphologyModel;
-use crate::robot::{Place, Role, Slot};
+use crate::robot::Slot;
 use crate::systems::terms::{FormLists, NoParams, Registry};
 use crate::systems::view::RobotView;
 
@@ -68,12 +68,13 @@ impl OnJoints {
         }
         let joints = patterns.map(|patterns| {
             let is_named = |slot: &Slot| patterns.iter().any(|pattern| matches(pattern, &slot.to_string()));
-            let mut joints: Vec<usize> =
-                robot.slots.iter().filter(|own| is_named(&own.slot)).map(|own| own.joint()).collect();
+            // joints that the policy does not drive are among them
+            let all = robot.roles.slots.iter().zip(&robot.roles.joint_of_slot);
+            let mut joints: Vec<usize> = all.filter(|(slot, _)| is_named(slot)).map(|(_, &joint)| joint).collect();
             joints.sort_unstable();
             joints
         });
-        let count = joints.as_ref().map_or(robot.slots.len(), Vec::len);
+        let count = joints.as_ref().map_or(robot.roles.slots.len(), Vec::len);
         Ok(Self { joints, factor: if mean { 1.0 / count.max(1) as f32 } else { 1.0 } })
     }
 
@@ -102,24 +103,6 @@ impl OnJoints {
         };
         self.factor * sum
     }
-}
-
-/// Key, problem and remedy of a pattern that matches the name of no joint that any robot could
-/// have.
-fn check_pattern(element: &str, pattern: &str) -> Result<(), (String, String, String)> {
-    let slots = || {
-        let of = |place: Place| Role::ALL.into_iter().map(move |role| Slot::new(place, role).to_string());
-        Place::ALL.into_iter().flat_map(of).filter(|name| Slot::parse(name).is_some())
-    };
-    let numbered = |name: String| (1..10).map(move |n| if n == 1 { name.clone() } else { format!("{name}_{n}") });
-    if slots().flat_map(numbered).any(|name| matches(pattern, &name)) {
-        return Ok(());
-    }
-    let roles = Role::ALL.map(Role::name).join(", ");
-    let places = Place::ALL.map(Place::name).join(", ");
-    let remedy =
-        format!("joints are named PLACE_ROLE, `*` stands for any run of letters; places: {places}; roles: {roles}");
-    Err((element.to_owned(), format!("`{pattern}` matches the name of no joint"), remedy))
 }
 
 pub(super) fn register(registry: &mut Registry) {

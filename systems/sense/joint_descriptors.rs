@@ -86,7 +86,7 @@ impl JointDescriptors {
             }
             // from where the leg hangs straight, by less than half a turn
             let position = sign * q[j];
-            let mut zero = robot.morphology.roles.zero_of_slot[own];
+            let mut zero = robot.morphology.zero_of(slot);
             if zero.abs() > 0.0 {
                 zero += 2.0 * TURN * ((position - zero) / (2.0 * TURN)).round();
             }

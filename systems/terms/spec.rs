@@ -322,14 +322,13 @@ fn interned(text: &str) -> &'static str {
 
 /// The mirror of a quadruped's joints in their canonical order.
 fn mirrored_quadruped(robot: &MorphologyModel) -> [(usize, f32); JOINTS] {
-    let mirrored = robot.mirrored_slots();
+    let (slots, mirrored) = (&robot.roles.slots, robot.mirrored_roles());
     std::array::from_fn(|at| {
-        let place = |slot: Slot| robot.slots.iter().position(|own| own.slot == slot);
-        let own = Slot::parse(CANONICAL_JOINT_NAMES[at]).and_then(place);
+        let own = Slot::parse(CANONICAL_JOINT_NAMES[at]).and_then(|slot| slots.binary_search(&slot).ok());
         let Some((other, sign)) = own.map(|own| mirrored[own]) else {
             return (at, 1.0);
         };
-        let name = robot.slots[other].slot.to_string();
+        let name = slots[other].to_string();
         (CANONICAL_JOINT_NAMES.iter().position(|known| *known == name).unwrap_or(at), sign)
     })
 }

@@ -433,6 +433,20 @@ fn of_bodies_that_describe_themselves_joint_by_joint() {
     compare(with_error, 60, 30, "joints");
 }
 
+#[test]
+fn of_a_policy_that_drives_some_joints_alone() {
+    let overrides = [
+        "sim.episode_length_s=0.8",
+        "events.push_robot={mode=\"interval\", enabled=true, interval_range_s=[0.2, 0.4]}",
+        "actions.joint_pos.joint_names=[\"*_HIP_*\", \"*_KNEE\", \"*_HFE\"]",
+    ];
+    for task in ["velocity_flat_legged", "velocity_flat_any_legged"] {
+        let overrides = overrides.map(String::from).to_vec();
+        let options = SimOptions { seed: 5, threads: Some(1), overrides, ..SimOptions::new(task, 48) };
+        compare(options, 80, 40, task);
+    }
+}
+
 /// Scales the mass of a link of each robot, as a caller does.
 fn scale_mass(sim: &mut Sim, link: usize, factor: f32) {
     let world = sim.world_mut();

@@ -9,6 +9,7 @@ mod commands_are_what_the_task_says;
 mod curricula_change_commands_and_weights;
 mod depth_cameras_see_the_ground;
 mod envs_are_shared_out_among_robots;
+mod joints_that_the_policy_does_not_drive_hold_their_pose;
 mod observations_remember_their_own_episode;
 mod randomisation_follows_its_ranges;
 mod reward_terms_match_hand_computed_values;

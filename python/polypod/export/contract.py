@@ -186,14 +186,17 @@ def _joints(robot: RobotInterface, physics_dt: float) -> list[dict[str, Any]]:
     info = robot.info
     groups: Mapping[str, Mapping[str, Any]] = robot.config["actuators"]
     slot_of = {joint: at for at, joint in enumerate(robot.joint_of_slot.tolist())}
+    # joints that the policy does not drive have actuators, too
+    held = {held["joint"]: held["slot"] for held in info.get("held_joints", ())}
     late = _task_delay(robot)
     joints = []
     for joint, name in enumerate(robot.joint_names):
         at = slot_of.get(joint)
         slot = None if at is None else robot.action_names[robot.columns[at]]
         sign = 0.0 if at is None else float(robot.signs[at])
+        own = held.get(joint, slot)
         group = next(
-            (group for group in groups.values() if slot and any(fnmatchcase(slot, p) for p in group["joints"])), {}
+            (group for group in groups.values() if own and any(fnmatchcase(own, p) for p in group["joints"])), {}
         )
         low, high = group.get("delay", (0, 0))
         joints.append(

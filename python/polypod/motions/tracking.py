@@ -98,6 +98,11 @@ class Tracker:
         self.com: list[Array] = []
         shapes = simulated.shapes(env.sim)
         for robot, source in zip(self.robots, sources, strict=True):
+            if held := info[robot].get("held_joints"):
+                raise _core.ConfigError(
+                    f"{env.sim.task_name}: actions.joint_pos.joint_names leaves out {held[0]['slot']} of {robot}, but "
+                    "a motion moves all joints; remove joint_names from the task"
+                )
             body = body_of(source)
             clips = library.clips_of(found.clips, body.source)
             self.references.append(Reference.of(body, clips, env.step_dt))

@@ -193,11 +193,11 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
     info = simulated.robots(sim)[name]
     config = simulated.config(sim)["robots"][name]
     groups = config["actuators"]
-    slots = dict(zip(info["joint_of_slot"], info["slots"], strict=True))
-    signs = dict(zip(info["joint_of_slot"], info["slot_signs"], strict=True))
+    of_slot = simulated.slot_of_joint(info)
+    slots = [of_slot[joint] for joint in range(len(info["joint_names"]))]
     of_joint = [
-        next(key for key, group in groups.items() if any(fnmatchcase(slots[joint], p) for p in group["joints"]))
-        for joint in range(len(info["joint_names"]))
+        next(key for key, group in groups.items() if any(fnmatchcase(slot, p) for p in group["joints"]))
+        for slot, _ in slots
     ]
     urdf = rooted(_core.robot_urdf(source), _core.Simulation(source, threads=1, ground=None).link_names[0])
     bare = contact_shapes.without_shapes(urdf)
@@ -211,7 +211,7 @@ def of(sim: _core.VecSim, name: str, source: str) -> Robot:
         actuators=_actuators(
             [groups[key] for key in of_joint],
             tuple(of_joint),
-            [signs[joint] for joint in range(len(of_joint))],
+            [sign for _, sign in slots],
             effort_limit=_limits(info["effort_limit"], np.inf),
             velocity_limit=_limits(info["velocity_limit"], np.inf),
         ),

@@ -126,7 +126,10 @@ class _State:
         return valid
 
     def write(self) -> None:
-        """Gives positions and velocities to polypod's simulator, which computes feet and links."""
+        """Gives positions and velocities to polypod's simulator, which computes feet and links.
+
+        Joints that the task does not drive keep the positions in which the episode began there.
+        """
         if self._is_written or self.driven is None:
             return
         at = self.rows.start + np.flatnonzero(self.valid())

@@ -45,7 +45,7 @@ FOLDERS = tuple(
 """Folders of the repository: what a command names in them exists."""
 
 TASK_TABLES = {"commands", "curriculum", "events", "observations", "physics", "rewards", "scene", "sensors", "sim"}
-TASK_TABLES |= {"terminations"}
+TASK_TABLES |= {"actions", "terminations"}
 TRAIN_TABLES = {"anneal", "run", "algorithm", "actor", "critic", "obs_groups", "rnd", "distillation"}
 
 

@@ -46,9 +46,9 @@ impl Inspect {
         )?;
         let description = robot.describe();
         for (j, joint) in model.joints.iter().enumerate() {
-            let slot = robot.slots.iter().find(|slot| slot.joint() == j);
-            let slot =
-                slot.map_or("-".to_owned(), |slot| format!("{}{}", if slot.sign < 0.0 { "-" } else { "" }, slot.slot));
+            let slot = robot.roles.joint_of_slot.iter().position(|&own| own == j).map(|at| robot.roles.slots[at]);
+            let sign = if robot.sign_of(j) < 0.0 { "-" } else { "" };
+            let slot = slot.map_or("-".to_owned(), |slot| format!("{sign}{slot}"));
             writeln!(
                 out,
                 "  {:<18} {:<18} {:<20} {:>8.3} .. {:>6.3} {:>8.3} {:>8.2} {:>8.2} {:>9.4} {:>9.2}",
