@@ -361,7 +361,7 @@ def draft_drawn(folder: Path, config: Path) -> None:
 
 
 def _vary(config: Path, rewards: str) -> None:
-    """Gives a draft a reward set, and ranges of `body_variation` if it has none of its own."""
+    """Gives a draft a reward set, and ranges of `body_variation` if it has none yet."""
     lines = config.read_text(encoding="utf-8").splitlines()
     own = [f'reward_set = "{rewards}"' if line.startswith("reward_set") else line for line in lines]
     ranges = [] if any(line.startswith("[variation]") for line in lines) else ["", VARIATION]

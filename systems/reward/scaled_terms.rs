@@ -24,7 +24,8 @@ pub(super) fn register(registry: &mut Registry) {
         mean_square(&r.effort.acceleration) * (unit * unit)
     });
     for name in ["scaled_torques_l2", "scaled_acc_l2"] {
-        registry.on_device(FormKind::Reward, name, |NoParams {}, robot| Some((vec![robot.hip_height], Some(Vec::new()))));
+        registry
+            .on_device(FormKind::Reward, name, |NoParams {}, robot| Some((vec![robot.hip_height], Some(Vec::new()))));
     }
 }
 

@@ -24,8 +24,8 @@ class Body:
     trunk_mass: float
     """Mass of the base with all that is fixed to it, kg."""
     height: float
-    """Height at which it stands in the default pose, m: of its base, or of its hips where the frame of
-    the base lies low."""
+    """Height at which it stands in the default pose, m: of its base, or of its hips where the frame
+    of the base lies low."""
     ranges: Mapping[str, tuple[float, float]]
     """Command box of the robot: `lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s)."""
 

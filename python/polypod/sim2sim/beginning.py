@@ -29,8 +29,8 @@ DT_ON_TERRAIN = 0.002
 """MuJoCo's step at most on terrain where none is named, s: its own default. At 5 ms some robots are
 thrown off steep faces."""
 DT_OF_LIGHT_JOINTS = 0.002
-"""The same of robots with joints whose damping is much faster than the steps. At 5 ms such legs
-slide, drift and fall under policies that lead them at 2 ms."""
+"""MuJoCo's step at most of robots with joints whose damping is much faster than the steps. At 5 ms
+such legs slide, drift and fall under policies that lead them at 2 ms."""
 COARSE = 5.0
 """Times of the fastest damping of joints that a step may take."""
 MARGIN = 30.0

@@ -23,7 +23,7 @@ TASK = "Velocity-Flat-Universal-Play-v0"
 CLOSE = 0.1
 """Largest difference of the velocity errors in the two simulators, m/s."""
 SLIDES = 0.03
-"""The same of a small robot."""
+"""Difference from which a small robot slides, m/s."""
 
 
 def make_twin(robot, num_envs=4, delay=0, checkpoint=FLAT_POLICY, task=TASK, overrides=(), physics=None):
