@@ -188,7 +188,7 @@ def test_info_says_what_a_bug_report_needs(cli, monkeypatch):
 
 def test_lists_as_json(cli):
     listed = json.loads(cli("list", "--json").stdout)
-    policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.NAMES]
+    policies = [{"name": name, "file": str(bundled.checkpoint(name))} for name in bundled.FOLDERS]
     train_configs = listed.pop("train_configs")
     assert {"flat", "quick", "rough_universal"} <= {config["name"] for config in train_configs}
     commands = {command["name"]: command["columns"] for command in listed.pop("commands")}

@@ -409,6 +409,8 @@ def test_no_rubbish_ends_the_program(live, capfd):
         for thread in threads:
             thread.join()
     assert len(sent) > 20 * SECONDS
+    # a last message may pause
+    settle(live)
     live.later(lambda: live.pause(False))
     live.later(live.reset)
     run(live, 3)

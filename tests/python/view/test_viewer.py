@@ -394,7 +394,7 @@ def test_other_checkpoints_of_a_run_can_be_chosen(tmp_path):
     for number in (5, 100, 20):
         (tmp_path / f"model_{number}.pt").touch()
     names = list(session._policies(tmp_path / "model_20.pt"))
-    shipped = [f"bundled: {name}" for name in ("flat", "rough", "legged", "quadruped")]
+    shipped = [f"bundled: {name}" for name in ("flat", "rough", "legged", "quadruped", "two_legs")]
     assert names == ["model_20.pt", "model_5.pt", "model_100.pt", *shipped]
     assert list(session._policies(bundled.checkpoint("rough")))[:2] == ["bundled: rough", "bundled: flat"]
 
