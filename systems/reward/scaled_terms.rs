@@ -18,8 +18,8 @@ pub(super) fn register(registry: &mut Registry) {
         let load = weight(r) * standing_height(r);
         if load > 0.0 { mean_square(&r.effort.applied) / (load * load) } else { 0.0 }
     });
-    // Mean of the squared joint accelerations, each in units of gravity over the height at which the
-    // robot stands.
+    // Mean of the squared joint accelerations, each in units of gravity over the height at which
+    // the robot stands.
     registry.reward("scaled_acc_l2", |_: &NoParams, r| {
         let gravity = r.ground.free_fall();
         let unit = if gravity > 0.0 { standing_height(r) / gravity } else { 0.0 };
