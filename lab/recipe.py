@@ -104,7 +104,8 @@ class Recipe:
     locked: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Drafts that hold joints in their default pose: `NAME = { robot = "ROBOT", joints = [...] }`
     with a robot of `drafts`, or a drafted drawn body, and patterns of slots. A table `[[held]]`
-    with `robots`, `suffix` and `joints` stands for one of each of these robots."""
+    with `robots`, `suffix` and `joints` stands for one of each of these robots; those of a group
+    are the group `GROUP_SUFFIX`."""
 
     def named(self, names: Iterable[str]) -> set[str]:
         """Robots, and drawn bodies as `@drawn.N`, that names and groups stand for."""
@@ -149,7 +150,7 @@ def read(folder: Path) -> Recipe:
     return Recipe(
         folder=folder,
         stages=tuple(stage(table) for table in tables.values()),
-        groups=plan.get("groups", {}),
+        groups={**plan.get("groups", {}), **_groups_of_held(plan)},
         bodies=bodies,
         drafts=tuple(plan.get("drafts", ())),
         locked={**plan.get("locked", {}), **_held(plan)},
@@ -174,6 +175,16 @@ def _held(plan: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             for robot in plan["groups"][name[1:]] if name.startswith("@") else [name]:
                 found[f"{robot}_{table['suffix']}"] = {"robot": robot, "joints": table["joints"]}
     return found
+
+
+def _groups_of_held(plan: Mapping[str, Any]) -> dict[str, list[str]]:
+    """The groups of drafts with joints held, one for each group that `[[held]]` names."""
+    return {
+        f"{name[1:]}_{table['suffix']}": [f"{robot}_{table['suffix']}" for robot in plan["groups"][name[1:]]]
+        for table in plan.get("held", [])
+        for name in table["robots"]
+        if name.startswith("@")
+    }
 
 
 def _each(template: dict[str, Any]) -> list[dict[str, Any]]:

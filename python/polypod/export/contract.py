@@ -16,7 +16,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from polypod import _core
+from polypod import _core, simulated
 from polypod.export import metadata, states
 from polypod.export.robot import RobotInterface
 from polypod.networks.onnx_network import output_of
@@ -187,14 +187,14 @@ def _joints(robot: RobotInterface, physics_dt: float) -> list[dict[str, Any]]:
     groups: Mapping[str, Mapping[str, Any]] = robot.config["actuators"]
     slot_of = {joint: at for at, joint in enumerate(robot.joint_of_slot.tolist())}
     # joints that the policy does not drive have actuators, too
-    held = {held["joint"]: held["slot"] for held in info.get("held_joints", ())}
+    own_slots = simulated.slot_of_joint(info)
     late = _task_delay(robot)
     joints = []
     for joint, name in enumerate(robot.joint_names):
         at = slot_of.get(joint)
         slot = None if at is None else robot.action_names[robot.columns[at]]
         sign = 0.0 if at is None else float(robot.signs[at])
-        own = held.get(joint, slot)
+        own, _ = own_slots.get(joint, ("", 0.0))
         group = next(
             (group for group in groups.values() if own and any(fnmatchcase(own, p) for p in group["joints"])), {}
         )

@@ -62,7 +62,7 @@ class RobotInterface:
     command_ranges: Mapping[str, Sequence[float]]
     """`lin_vel_x`, `lin_vel_y` (m/s) and `ang_vel_z` (rad/s) of the training's commands: [low,
     high]."""
-    info: Mapping[str, Any]
+    info: simulated.RobotInfo
     """All that the simulator says of the robot (`VecSim.robot_info`)."""
     config: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """The robot's config, with all defaults (`VecSim.resolved_config`)."""

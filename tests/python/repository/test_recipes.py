@@ -246,10 +246,12 @@ def test_joints_are_held_of_a_group_of_robots(tmp_path):
     text = PLAN + '[[held]]\nrobots = ["@dogs", "spot"]\nsuffix = "stiff"\njoints = ["*_HAA"]\n'
     (tmp_path / "plan.toml").write_text(text)
     joints = ["*_HAA"]
-    assert recipe.read(tmp_path).locked == {
+    made = recipe.read(tmp_path)
+    assert made.locked == {
         "solo12_stiff": {"robot": "solo12", "joints": joints},
         "spot_stiff": {"robot": "spot", "joints": joints},
     }
+    assert made.groups["dogs_stiff"] == ["solo12_stiff"]
 
 
 def test_bodies_are_drafted_and_drafts_hold_joints(tmp_path, monkeypatch):
