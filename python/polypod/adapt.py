@@ -508,7 +508,7 @@ def _first_point(pretrained: Path, plan: session.Plan, run: Path, options: Optio
         robots=robots,
         seed=plan.seed,
         threads=options.threads,
-        overrides=[*changes, *engines.on_the_cpu(changes)],
+        overrides=engines.on_the_cpu(changes),
     )
     state = growth.grow(pretrained, sim, robots, settings)
     run_dir.write_params(run, sim, settings, robots, plan.overrides, options.command)

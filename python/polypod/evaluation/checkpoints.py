@@ -1,7 +1,7 @@
 """Evaluation of the checkpoints of trainings."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ from polypod.evaluation.gate import Gate
 from polypod.evaluation.results import Evaluation
 from polypod.evaluation.rollout import evaluate, play_task
 from polypod.provenance import measured
-from polypod.runs.engines import on_the_cpu
 from polypod.runs.own_terms import terms_of_run
 
 
@@ -34,7 +33,7 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
         overrides=given,
-        trained=_trained(manifest),
+        trained=manifest["overrides"],
         slots=manifest["canonical_joint_names"],
         terms=terms,
         **arguments,
@@ -54,12 +53,6 @@ def evaluate_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, *
     return dataclasses.replace(evaluation, checkpoint=origin, measured=measured(), distances=distances)
 
 
-def _trained(manifest: Mapping[str, Any]) -> list[str]:
-    """Changes of the task with which a policy was trained, on the CPU."""
-    overrides = manifest["overrides"]
-    return [*overrides, *on_the_cpu(overrides)]
-
-
 def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **arguments: Any) -> dict[str, Gate]:
     """`polypod.evaluation.gate.measure` for a checkpoint or an ONNX file.
 
@@ -74,7 +67,7 @@ def gate_of_checkpoint(checkpoint: Path, robots: Sequence[str] | None = None, **
         policy.runner(),
         task or manifest["task"],
         manifest["robot_sources"] if robots is None else robots,
-        trained=_trained(manifest),
+        trained=manifest["overrides"],
         slots=manifest["canonical_joint_names"],
         **arguments,
     )

@@ -1,6 +1,6 @@
 """Engines of a run's simulator, by the changes of its task."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 ENGINE = "physics.engine="
 ON_THE_CPU = f"{ENGINE}articulated"
@@ -9,11 +9,12 @@ SAME_BITS = (ON_THE_CPU, *_OF_A_CARD)
 """Engines that go on with each other's runs: nothing but the time depends on them."""
 
 
-def on_the_cpu(changes: Iterable[str]) -> list[str]:
-    """A `key=value` pair that moves a task with these changes from a card to the CPU.
+def on_the_cpu(changes: Sequence[str]) -> list[str]:
+    """`key=value` pairs of a task, with the CPU in place of a card.
 
-    The CPU has the same bits, and steps a few hundred envs sooner. None where the task is on no
-    card.
+    The CPU has the same bits, and steps a few hundred envs sooner.
     """
     engines = [change for change in changes if change.startswith(ENGINE)]
-    return [ON_THE_CPU] if engines and engines[-1] in _OF_A_CARD else []
+    if not engines or engines[-1] not in _OF_A_CARD:
+        return list(changes)
+    return [*(change for change in changes if change not in engines), ON_THE_CPU]

@@ -14,6 +14,7 @@ from typing_extensions import NotRequired, TypedDict
 
 from polypod import _core
 from polypod.files import read_bytes
+from polypod.runs import engines
 
 MAX_LAYER = 65536
 Size = Annotated[int, Meta(ge=1, le=MAX_LAYER)]
@@ -162,8 +163,13 @@ class ExportManifest(TypedDict):
     """Checksums of the graphs that it describes."""
 
 
-def read(path: Path) -> dict[str, Any]:
+def read(path: Path, *, as_begun: bool = False) -> dict[str, Any]:
     """Reads a manifest and checks everything that is used of it.
+
+    Args:
+        path: of the manifest.
+        as_begun: leave the task on the card that the run asked for. Otherwise it is on the CPU,
+            which has the same bits, so that a policy can be used on machines without a card.
 
     Raises:
         ConfigError: when it is missing or broken; the message names the element.
@@ -177,13 +183,21 @@ def read(path: Path) -> dict[str, Any]:
     check_size([policy["num_obs"], *policy["hidden_dims"], policy["num_actions"]], f"{path}: policy")
     if policy["class_name"] == "polypod.networks:UrmaModel":
         _check_joints(policy, path)
-    return dict(manifest)
+    return dict(manifest) if as_begun else _on_the_cpu(dict(manifest))
 
 
 def read_onnx(text: str, where: str) -> dict[str, Any]:
-    """Reads the metadata of an ONNX policy. Raises ConfigError, which begins with `where`."""
+    """Reads the metadata of an ONNX policy, with its task on the CPU.
+
+    Raises ConfigError, which begins with `where`.
+    """
     manifest: OnnxManifest = _parse(text.encode(), OnnxManifest, where, "the learner's export")
-    return dict(manifest)
+    return _on_the_cpu(dict(manifest))
+
+
+def _on_the_cpu(manifest: dict[str, Any]) -> dict[str, Any]:
+    """A manifest whose task is on no card."""
+    return {**manifest, "overrides": engines.on_the_cpu(manifest["overrides"])}
 
 
 def export_sums(path: Path) -> dict[str, str]:

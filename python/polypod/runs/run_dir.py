@@ -278,9 +278,12 @@ def _check_sum(path: Path, data: bytes) -> None:
         )
 
 
-def read_manifest(checkpoint: Path) -> dict[str, Any]:
-    """The manifest next to a checkpoint. Raises ConfigError when it is missing or broken."""
-    return manifest.read(checkpoint.parent / MANIFEST)
+def read_manifest(checkpoint: Path, *, as_begun: bool = False) -> dict[str, Any]:
+    """The manifest next to a checkpoint; see `manifest.read`.
+
+    Raises ConfigError when it is missing or broken.
+    """
+    return manifest.read(checkpoint.parent / MANIFEST, as_begun=as_begun)
 
 
 def save_checkpoint(path: Path, fill: Callable[[BinaryIO], Any]) -> None:

@@ -384,7 +384,7 @@ def _resumed_plan(options: Options, workers: Workers) -> Plan:
 
     def find() -> tuple[str, dict[str, Any]]:
         checkpoint = run_dir.find_checkpoint(options.log_dir, str(options.resume))
-        return str(checkpoint), run_dir.read_manifest(checkpoint)
+        return str(checkpoint), run_dir.read_manifest(checkpoint, as_begun=True)
 
     path, manifest = workers.from_first(find)
     checkpoint = Path(path)

@@ -173,7 +173,7 @@ def _trial(own: Mapping[str, Any], group: str, seed: int, base: Path, folder: Pa
         raise _core.ConfigError(f"group {group}: {error}") from error
     trial = Trial(group, found, plan.config)
     if (run / run_dir.MANIFEST).is_file():
-        begun = run_dir.read_manifest(run / "model_0.pt")
+        begun = run_dir.read_manifest(run / "model_0.pt", as_begun=True)
         ours = (plan.config.as_dict(), plan.seed, plan.overrides)
         if (begun["train_config"], begun["seed"], begun["overrides"]) != ours:
             raise _core.ConfigError(f"{run} was begun with other options; choose another --out, or remove it")

@@ -187,8 +187,10 @@ def test_the_cpu_measures_what_a_card_trained(tmp_path, engine):
 
 
 def test_the_last_engine_that_is_named_counts():
-    assert on_the_cpu(["physics.engine=avian", "physics.engine=cuda"]) == [ON_THE_CPU]
-    assert on_the_cpu(["physics.engine=auto", "physics.engine=avian"]) == on_the_cpu([]) == []
+    assert on_the_cpu(["physics.engine=avian", "a=1", "physics.engine=cuda"]) == ["a=1", ON_THE_CPU]
+    later = ["physics.engine=auto", "physics.engine=avian"]
+    assert on_the_cpu(later) == later
+    assert on_the_cpu([]) == []
 
 
 def test_a_measurement_of_the_last_checkpoint_is_its_evaluation(tmp_path, monkeypatch):
