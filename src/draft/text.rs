@@ -12,6 +12,8 @@ use crate::robot::Side;
 const SHARE: f64 = 0.1;
 /// Largest share of the base's mass that randomisation removes.
 const HALF: f64 = 0.5;
+/// Mass that randomisation leaves of a base, kg: what a simulation asks for, and more than rounding.
+const LEAST_BASE: f64 = 0.012;
 
 pub(super) fn write(findings: &Findings<'_>) -> String {
     let mut out = String::new();
@@ -184,7 +186,8 @@ fn pattern(joints: &[Drafted], slots: &[usize]) -> (String, Vec<String>) {
 fn ranges(findings: &Findings<'_>, out: &mut String) -> fmt::Result {
     let mass = findings.model.total_mass();
     // a base may weigh less than a tenth of the robot
-    let lightest = -round((SHARE * mass).min(HALF * findings.model.links[0].mass));
+    let base = findings.model.links[0].mass;
+    let lightest = -round((SHARE * mass).min(HALF * base).min(base - LEAST_BASE));
     let (kilograms, newtons) = (round(SHARE * mass), round(SHARE * mass * GRAVITY));
     let lever = 0.1 * findings.leg_length;
     let com = round(lever);

@@ -8,6 +8,8 @@ from polypod.bodies.parts import Body, Link
 
 GRAVITY = _core.EARTH_GRAVITY
 """Gravity, m/s^2."""
+LEAST_BASE = 0.011
+"""Mass that randomisation leaves of a base, kg: what a simulation asks for, and a tenth more."""
 
 
 def _number(x: float) -> str:
@@ -125,7 +127,8 @@ def toml(body: Body, seed: int) -> str:
     lines += ["", "[commands.base_velocity]      # what such a body can be asked for, m/s"]
     lines += [f"{key} = [{_real(low)}, {_real(high)}]" for key, (low, high) in _commands(body).items()]
     tenth = _real(0.1 * body.mass)
-    lightest = _real(min(0.1 * body.mass, 0.9 * body.links[0].mass))
+    base = body.links[0].mass
+    lightest = _real(min(0.1 * body.mass, 0.9 * base, base - LEAST_BASE))
     lever = _real(0.05 * body.leg_length)
     lines += [
         "",

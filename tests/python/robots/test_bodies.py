@@ -58,6 +58,15 @@ def test_light_bases_keep_a_mass(tmp_path, monkeypatch):
     polypod.make(bodies.TASK, 80)
 
 
+def test_a_base_of_some_grams_keeps_what_a_simulation_asks_for(tmp_path):
+    """A tenth of this robot's 0.4 kg leaves 8 g of its base."""
+    body = bodies.draw("humanoid", "light", np.random.default_rng([112, 66]), wide=True)
+    (tmp_path / "assets" / "robots" / "light").mkdir(parents=True)
+    (tmp_path / "assets" / "robots" / "light" / "robot.urdf").write_text(bodies.urdf(body))
+    (tmp_path / "light.toml").write_text(bodies.toml(body, 112))
+    polypod.make("velocity_flat_two_legs", 1, robots=[str(tmp_path / "light.toml")])
+
+
 def test_the_librarys_quadrupeds_lie_within_what_is_drawn():
     """Mass, height, drive and action scale of each, in shares of weight and leg length."""
     rng = np.random.default_rng(0)
