@@ -1,9 +1,7 @@
 //! The gradient of the mirror loss is the derivative of its formula, by central differences.
 
 use polypod_lanes::Simd;
-use polypod_learner::{
-    Activation, Algorithm, Learner, Network, NetworkName, Options, Robot, Settings, Symmetry, Team,
-};
+use polypod_learner::{Activation, Algorithm, Learner, Network, NetworkName, Options, Robot, Settings, Symmetry, Team};
 
 const ENVS: usize = 20;
 const STEPS: usize = 4;
@@ -97,9 +95,8 @@ fn gradient(symmetry: Symmetry, coef: f32) -> Vec<f64> {
     state.weights = vec![vec![0.6; ACTIONS], weights, bias];
     learner.set_network(NetworkName::Actor, &state).unwrap();
     learner.begin(0);
-    let (mut actions, all) = (vec![0.0; ENVS * ACTIONS], |step| -> Vec<f32> {
-        (0..ENVS).flat_map(|env| observation(step, env)).collect()
-    });
+    let all = |step| -> Vec<f32> { (0..ENVS).flat_map(|env| observation(step, env)).collect() };
+    let mut actions = vec![0.0; ENVS * ACTIONS];
     for step in 0..STEPS {
         learner.act(&Alone, &all(step), &mut actions);
         let rewards: Vec<f32> = (0..ENVS).map(|env| actions[env * ACTIONS]).collect();

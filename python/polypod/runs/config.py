@@ -297,7 +297,7 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("algorithm", "value_loss_coef", 0.0, 1e6),
     ("algorithm", "entropy_coef", 0.0, 1e3),
     ("algorithm", "critic_warmup_iterations", 0, 2**31),
-    ("algorithm", "mirror_loss_coef", -1e6, 1e6),
+    ("algorithm", "mirror_loss_coef", 0.0, 1e6),
     ("anneal", "start", 0.0, 1.0),
     ("anneal", "entropy_coef", 0.0, 1e3),
 )
