@@ -39,6 +39,7 @@ fn options(symmetry: Symmetry) -> Options {
             use_clipped_value_loss: true,
             desired_kl: Some(0.01),
             normalize_advantage_per_mini_batch: false,
+            mirror_loss_coef: 0.3,
         },
         normalize_reward_per_robot: true,
         normalize_advantage_per_robot: true,

@@ -276,7 +276,7 @@ FN float sum_of_line(float *x) {
 }
 
 /* numbers of a robot that all its samples share */
-enum { CONSTANT, OF_DEVIATIONS, ABOUT, SCALE, SCALARS };
+enum { CONSTANT, OF_DEVIATIONS, ABOUT, SCALE, PULL, SCALARS };
 /* The surrogate loss of each row, and its derivatives. */
 typedef struct {
     const float *output; /* [row][width] */
@@ -337,6 +337,11 @@ FN void surrogate_of_row(const Surrogate *job, int row) {
         float z = (terms[k] - mean[k]) * inverse[k];
         delta[k] = slope * z * inverse[k];
         terms[k] = slope * (z * z - 1.0f) * inverse[k];
+    }
+    /* the mirror loss of an image, whose target is the image of the old mean */
+    if (index && scalars[PULL] > 0.0f) {
+        ROLLED for (int k = 0; k < width; k++)
+            delta[k] += inverse[k] > 0.0f ? scalars[PULL] * (mean[k] - old[index[k]] * sign[k]) : 0.0f;
     }
     job->loss[row] = free < clipped ? clipped : free;
     job->divergence[row] = scalars[OF_DEVIATIONS] + 0.5f * moved;

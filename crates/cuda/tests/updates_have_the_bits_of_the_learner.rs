@@ -75,6 +75,7 @@ fn settings(envs: &[usize], num_obs: usize, num_actions: usize) -> Settings {
                 use_clipped_value_loss: true,
                 desired_kl: Some(0.01),
                 normalize_advantage_per_mini_batch: false,
+                mirror_loss_coef: 0.0,
             },
             normalize_reward_per_robot: true,
             normalize_advantage_per_robot: false,
@@ -103,6 +104,12 @@ fn cases() -> Vec<(&'static str, Settings)> {
     });
     case("images next to the samples", &[33], [45, 12], &|of| of.options.symmetry = Symmetry::Both);
     case("images and samples in turn", &[35], [45, 12], &|of| of.options.symmetry = Symmetry::Alternate);
+    for symmetry in [Symmetry::Both, Symmetry::Alternate] {
+        case("images that the mirror loss pulls", &[34], [45, 13], &|of| {
+            of.options.symmetry = symmetry;
+            of.options.algorithm.mirror_loss_coef = 4.0;
+        });
+    }
     for activation in [Activation::Relu, Activation::Tanh] {
         case("another activation", &[20], [24, 8], &|of| {
             of.options.actor.activation = activation;
@@ -115,6 +122,7 @@ fn cases() -> Vec<(&'static str, Settings)> {
             robot.observation_mask = (0..50).map(|i| i % (k + 3) != 0).collect();
         }
         of.options.symmetry = Symmetry::Alternate;
+        of.options.algorithm.mirror_loss_coef = 0.7;
         of.options.normalize_advantage_per_robot = true;
     });
     case("networks that read some columns", &[40], [60, 12], &|of| {

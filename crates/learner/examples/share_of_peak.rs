@@ -106,6 +106,7 @@ fn settings(hidden_dims: &[usize]) -> Settings {
         use_clipped_value_loss: true,
         desired_kl: Some(0.01),
         normalize_advantage_per_mini_batch: false,
+        mirror_loss_coef: 0.0,
     };
     let robot = Robot {
         envs: (0, ENVS),

@@ -154,9 +154,9 @@ pub struct DeviceBatch {
     /// One over the deviations of each robot's actions, 0 for actions that it lacks,
     /// `[robots][lines of an action]`.
     pub inverse: Vec<Line>,
-    /// Constant of the log-density, divergence that deviations add, mean of the advantages and one
-    /// over their deviation, `[robots]`.
-    pub of_robots: Vec<[f32; 4]>,
+    /// Constant of the log-density, divergence that deviations add, mean of the advantages, one
+    /// over their deviation, and factor of the mirror loss' derivatives, `[robots]`.
+    pub of_robots: Vec<[f32; 5]>,
     /// Derivatives of the deviations that each part's sum begins with, `[parts][lines of an
     /// action]`.
     pub start: Vec<Line>,

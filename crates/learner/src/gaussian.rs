@@ -110,6 +110,26 @@ impl Gaussian {
         free.max(clipped)
     }
 
+    /// Factor of an image's derivatives in [`Gaussian::mirror_slopes`], given the weight of its
+    /// loss.
+    pub(crate) fn pull_of_images(&self, weight: f32) -> f32 {
+        2.0 * weight / self.actions.len().max(1) as f32
+    }
+
+    /// The derivatives of an image's mirror loss: the square of the difference between the mean and
+    /// `target`, averaged over the robot's actions. The target is the mirrored mean of the policy
+    /// that collected the sample.
+    #[inline(always)]
+    pub(crate) fn mirror_slopes(&self, mean: &[Line], target: &[Line], pull: f32, slopes: &mut [Line]) {
+        for (k, inverse) in self.inverse.iter().enumerate() {
+            for i in 0..WIDTH {
+                // the robot has the action
+                let has = inverse.0[i] > 0.0;
+                slopes[k].0[i] = if has { pull * (mean[k].0[i] - target[k].0[i]) } else { 0.0 };
+            }
+        }
+    }
+
     /// Kullback-Leibler divergence of this distribution from an older one, whose deviations add
     /// `of_deviations`; exactly zero if they are the same.
     #[inline(always)]

@@ -71,6 +71,8 @@ struct MiniBatch<'a> {
     batch: usize,
     /// One over the number of samples, mirror images included.
     weight: f32,
+    /// Weight of an image's mirror loss. Half of the rows are images, up to chance.
+    mirror_weight: f32,
     /// Number of samples.
     samples: usize,
     policy: &'a Policy,
@@ -189,7 +191,7 @@ impl MiniBatch<'_> {
             (lines_of(self.settings.num_actions), &part.bodies[0], self.policy.new.are_of_bodies());
         let first_deviation = net.first_deviation();
         let mut images = vec![Line::ZERO; 2 * lines];
-        let mut mean = vec![Line::ZERO; lines];
+        let (mut mean, mut slopes) = (vec![Line::ZERO; lines], vec![Line::ZERO; lines]);
         with_tile(|tile| {
             self.for_each_tile(part, net, bodies, |samples| {
                 let rows = net.fill(&self.rows(part, bodies, samples), bodies, tile);
@@ -229,6 +231,10 @@ impl MiniBatch<'_> {
                         gradient.divergence += f64::from(new.divergence(&mean, old_mean, of_deviations));
                         gradient.samples += 1;
                     }
+                    let is_pulled = self.mirror_weight > 0.0 && mirror.is_some();
+                    if is_pulled {
+                        new.mirror_slopes(&mean, old_mean, new.pull_of_images(self.mirror_weight), &mut slopes);
+                    }
                     let (about, scale) = self.policy.advantages[robot];
                     let surrogate = Surrogate {
                         clip: self.settings.options.algorithm.clip_param,
@@ -237,6 +243,11 @@ impl MiniBatch<'_> {
                         weight: self.weight,
                     };
                     gradient.loss += f64::from(new.surrogate(action, &mut mean, deviation, &surrogate));
+                    if is_pulled {
+                        for (mean, slopes) in mean.iter_mut().zip(&slopes) {
+                            mean.0.iter_mut().zip(&slopes.0).for_each(|(mean, slope)| *mean += slope);
+                        }
+                    }
                     for (panel, line) in mean.iter().enumerate() {
                         tile.delta[panel * rows + row] = *line;
                     }
@@ -478,6 +489,7 @@ impl Learner {
             epoch,
             batch,
             weight: 1.0 / rows as f32,
+            mirror_weight: self.settings.options.algorithm.mirror_loss_coef * 2.0 / rows as f32,
             samples: rows / self.settings.options.symmetry.rows_per_sample(),
             policy,
         }
@@ -506,7 +518,7 @@ impl Learner {
         for (robot, (mean, scale)) in policy.advantages.iter().enumerate() {
             let (new, divergence) = policy.of(robot);
             inverse.extend_from_slice(&new.inverse);
-            of_robots.push([new.constant, divergence, *mean, *scale]);
+            of_robots.push([new.constant, divergence, *mean, *scale, new.pull_of_images(shared.mirror_weight)]);
         }
         let batch = DeviceBatch { epoch, batch, weight: shared.weight, inverse, of_robots, start };
         let DeviceSums { parts, squares } = device.gradients(&batch)?;

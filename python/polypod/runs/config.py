@@ -297,6 +297,7 @@ _RANGES: tuple[tuple[str, str, float, float], ...] = (
     ("algorithm", "value_loss_coef", 0.0, 1e6),
     ("algorithm", "entropy_coef", 0.0, 1e3),
     ("algorithm", "critic_warmup_iterations", 0, 2**31),
+    ("algorithm", "mirror_loss_coef", 0.0, 1e6),
     ("anneal", "start", 0.0, 1.0),
     ("anneal", "entropy_coef", 0.0, 1e3),
 )
@@ -372,6 +373,11 @@ def _check_ranges(config: TrainConfig, source: str) -> None:
         raise _core.ConfigError(
             f"{source}: [run] normalize_advantage_per_robot and [algorithm] normalize_advantage_per_mini_batch exclude "
             "each other; set one of them to false"
+        )
+    if algorithm.mirror_loss_coef and not run.symmetry:
+        raise _core.ConfigError(
+            f"{source}: [algorithm] mirror_loss_coef = {algorithm.mirror_loss_coef} needs mirror images, and [run] "
+            f'symmetry is false; set symmetry to true or "{ALTERNATE}", or leave mirror_loss_coef out'
         )
     for section, network in (("actor", config.actor), ("critic", config.critic)):
         _check_network(network, f"{source}: [{section}]")

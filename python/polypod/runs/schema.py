@@ -108,6 +108,12 @@ class AlgorithmConfig:
     critic_warmup_iterations: int = 0
     """First iterations, in which the critic learns alone: weights and deviations of the actor stay
     as they begin, with `--init` those of a policy that walks."""
+    mirror_loss_coef: float = 0.0
+    """Weight of the mirror loss, which leads the policy back to symmetry; needs `[run] symmetry`.
+
+    The loss is the squared difference between the policy's mean at a mirror image and the mirrored
+    mean of the policy that collected the sample, averaged over images and a robot's actions.
+    rsl_rl's `mirror_loss_coeff` mirrors the mean of the policy that learns instead."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -453,7 +459,8 @@ class TrainConfig:
         """
         algorithm = dataclasses.asdict(self.algorithm)
         algorithm["use_mixed_precision"] = algorithm.pop("mixed_precision") == "on"
-        del algorithm["critic_warmup_iterations"]
+        for key in ("critic_warmup_iterations", "mirror_loss_coef"):
+            del algorithm[key]
         if self.distillation is not None:
             return self._distillation_cfg(algorithm, sim)
         if self.rnd is not None:

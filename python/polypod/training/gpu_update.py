@@ -22,7 +22,7 @@ from polypod.runs.schema import ALTERNATE, AlgorithmConfig
 from polypod.training import deviations
 from polypod.training.adam import graph_adam, tensors_of
 from polypod.training.graphs import Graphs
-from polypod.training.symmetry import Mirror
+from polypod.training.symmetry import Mirror, mirror_losses
 from polypod.training.workers import Workers
 
 RATE_STEP = 1.5
@@ -263,10 +263,22 @@ class Update:
                 value_losses = torch.max(value_losses, (clipped - returns).square())
             value = value_losses.mean()
             loss = surrogate + algorithm.value_loss_coef * value - self._entropy_coef * entropy
+            if algorithm.mirror_loss_coef:
+                loss = loss + algorithm.mirror_loss_coef * self._mirror_loss(index, is_sample)
         self.optimizer.zero_grad(set_to_none=True)
         (loss * share).backward()
         losses = torch.stack([value.detach(), surrogate.detach(), entropy.detach()]).float() * share
         return losses, divergence.float()
+
+    def _mirror_loss(self, index: torch.Tensor, is_sample: torch.Tensor | None) -> torch.Tensor:
+        """Mirror loss of the mini-batch's images; half of the rows are images, up to chance."""
+        assert self._mirror is not None
+        _, means = self._mirror.augment(self._env, None, self._samples["means"][index])
+        assert means is not None
+        if is_sample is None:
+            return mirror_losses(self._alg.actor, means)[len(index) :].mean()
+        losses = mirror_losses(self._alg.actor, means[len(index) :])
+        return 2.0 * torch.where(is_sample, 0.0, losses).mean()
 
     def _apply(self, losses: torch.Tensor, divergence: torch.Tensor) -> None:
         """A step of Adam with the gradients that there are."""

@@ -29,7 +29,7 @@ from polypod.training.advantages import normalize_per_robot
 from polypod.training.logger import TrainingLogger, scalars_of
 from polypod.training.report import Iteration, Reporter
 from polypod.training.reward_scale import RewardScale
-from polypod.training.symmetry import Mirror
+from polypod.training.symmetry import Mirror, MirrorLoss
 from polypod.training.teachers import ManyTeachers
 from polypod.training.workers import Workers, slow_workers
 
@@ -110,12 +110,15 @@ class Runner(OnPolicyRunner):
         check_groups(env, config.observed_groups)
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
         self._distils = config.distillation is not None
+        symmetry: dict[str, Any] = {}
         if cfg["symmetry"]:
-            mirror = Mirror(env, device)
-            symmetry = {"data_augmentation_func": mirror.augment, "use_data_augmentation": True}
+            symmetry = {"data_augmentation_func": Mirror(env, device).augment, "use_data_augmentation": True}
             cfg = {**cfg, "algorithm": {**cfg["algorithm"], "symmetry_cfg": symmetry}}
         with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its networks
             super().__init__(env, cfg, log_dir=str(run), device=device)
+        if symmetry and (weight := config.algorithm.mirror_loss_coef):
+            loss = {"use_mirror_loss": True, "mirror_loss_coeff": weight}
+            self.alg.symmetry = MirrorLoss(**{**symmetry, "env": env, **loss})
         sim = env.unwrapped.sim
         self.logger = TrainingLogger(
             log_dir=str(run),

@@ -4,7 +4,11 @@ Mittal et al., "Symmetry Considerations for Learning Task Symmetric Robot Polici
 learns faster when every sample is also seen mirrored.
 """
 
+from typing import Any
+
 import torch
+from rsl_rl.extensions import Symmetry
+from rsl_rl.models import MLPModel
 from tensordict import TensorDict
 
 from polypod import _core
@@ -61,6 +65,30 @@ class Mirror:
         if actions is not None:
             actions = torch.cat([actions, _mirrored(actions, self._actions)])
         return obs, actions
+
+
+class MirrorLoss(Symmetry):
+    """rsl_rl's samples with their images, and the mirror loss of `[algorithm] mirror_loss_coef`."""
+
+    def compute_loss(self, actor: MLPModel, batch: Any, original_batch_size: int) -> torch.Tensor:
+        """The mean loss of the images, which are the rows from `original_batch_size` on."""
+        _, means = self.data_augmentation_func(env=self.env, obs=None, actions=batch.old_distribution_params[0])
+        return mirror_losses(actor, means)[original_batch_size:].mean()
+
+
+def mirror_losses(actor: MLPModel, targets: torch.Tensor) -> torch.Tensor:
+    """Squared differences between the actor's means and `targets`, averaged over a robot's actions.
+
+    Args:
+        actor: whose distribution is that of the rows.
+        targets: [n, num_actions], 0 for actions that a robot lacks.
+
+    Returns:
+        The losses of the rows, [n].
+    """
+    mean, _, *mask = actor.output_distribution_params
+    squares = (mean.float() - targets).square()
+    return squares.sum(dim=1) / mask[0].sum(dim=1) if mask else squares.mean(dim=1)
 
 
 def _common(mirrors: dict[str, tuple[list[tuple[int, float]], list[bool]]]) -> list[tuple[int, float]]:

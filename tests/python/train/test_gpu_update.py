@@ -27,6 +27,12 @@ OWN_VARIANTS = {
     **{name: variant for name, variant in VARIANTS.items() if "joints" not in name and not name.endswith("groups")},
     "a_group_that_no_network_reads": {"run": {"task": "velocity_flat_asymmetric"}},
     "images_in_turn": {"run": {"symmetry": "alternate"}},
+    "mirror_loss_in_turn": {"run": {"symmetry": "alternate"}, "algorithm": {"mirror_loss_coef": 5.0}},
+    "masked_mirror_loss_in_turn": {
+        "actor": {"init_std": 1.5},
+        "run": {"symmetry": "alternate"},
+        "algorithm": {"mirror_loss_coef": 5.0},
+    },
     # parts of mini-batches of unequal sizes, with a graph for each size
     "unequal_mini_batches": {"algorithm": {"num_mini_batches": 7}},
 }
@@ -168,7 +174,7 @@ def learn(variant, folder, workers, device):
     return {**numbers, **{f"gradient {i}": x for i, x in enumerate(moments)}, "rate": made.alg.learning_rate}
 
 
-SHARED = ("mirror_images", "images_in_turn", "masked", "advantages_of_mini_batches")
+SHARED = ("mirror_images", "mirror_loss_in_turn", "masked", "advantages_of_mini_batches")
 """Variants that two workers learn, one after the other: their processes take longer to start than
 to learn."""
 

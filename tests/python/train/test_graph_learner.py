@@ -29,6 +29,7 @@ VARIANTS = {
     "padded_uneven": {"robots": BODIES, "algorithm": {"num_mini_batches": 3}},
     "mirror_images": {"run": {"symmetry": True}},
     "padded_mirror_images": {"robots": BODIES, "run": {"symmetry": True}},
+    "padded_mirror_loss": {"robots": BODIES, "run": {"symmetry": True}, "algorithm": {"mirror_loss_coef": 5.0}},
     "memory": {"overrides": MEMORY},
     "privileged": {"overrides": PRIVILEGED, "obs_groups": {"critic": ["policy", "critic"]}, "critic": JOINTS},
     "privileged_perceptron": {

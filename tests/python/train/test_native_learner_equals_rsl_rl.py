@@ -49,17 +49,29 @@ VARIANTS = {
     "one_hidden_layer": {"critic": {"hidden_dims": [7]}},
     "tanh": {"actor": {"activation": "tanh"}, "critic": {"activation": "tanh", "obs_normalization": False}},
     "mirror_images": {"run": {"symmetry": True}},
+    "mirror_loss": {"run": {"symmetry": True}, "algorithm": {"mirror_loss_coef": 5.0}},
     # bodies with different joints in one batch, whose policies have no joints in common but for two
     # of the bodies
     "masked": {"actor": {"init_std": 1.5}},
     "masked_adaptive_rate": {"actor": {"init_std": 1.5}, "algorithm": {"desired_kl": 1e-4}},
     "masked_mirror_images": {"actor": {"init_std": 1.5}, "run": {"symmetry": True}},
+    "masked_mirror_loss": {
+        "actor": {"init_std": 1.5},
+        "run": {"symmetry": True},
+        "algorithm": {"mirror_loss_coef": 5.0},
+    },
     "masked_entropy": {"actor": {"init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
     # networks of joints, which see the joints of a body alone and learn one deviation per joint
     "joints": {"actor": JOINTS},
     "joints_without_statistics": {"actor": {**JOINTS, "obs_normalization": False, "joint_dim": 24, "num_heads": 5}},
     "joints_critic": {"actor": JOINTS, "critic": {**JOINTS, "activation": "tanh"}},
     "joints_mirror_images": {"actor": JOINTS, "run": {"symmetry": True}},
+    "joints_mirror_loss": {"actor": JOINTS, "run": {"symmetry": True}, "algorithm": {"mirror_loss_coef": 5.0}},
+    "masked_joints_mirror_loss": {
+        "actor": {**JOINTS, "init_std": 1.5},
+        "run": {"symmetry": True},
+        "algorithm": {"mirror_loss_coef": 5.0},
+    },
     "masked_joints": {"actor": {**JOINTS, "init_std": 1.5}, "critic": {**JOINTS, "joint_dim": 8}},
     "masked_joints_entropy": {"actor": {**JOINTS, "init_std": 1.5}, "algorithm": {"entropy_coef": 0.5}},
     "joints_of_legs": {"actor": {**JOINTS, "leg_heads": 7}, "critic": {**JOINTS, "leg_heads": 12}},

@@ -187,6 +187,17 @@ def test_goals_out_of_range_are_refused(wrong) -> None:
         config.parse({**base, "anneal": base["anneal"] | wrong}, "test")
 
 
+def test_a_mirror_loss_needs_mirror_images() -> None:
+    base = config.load("flat").as_dict()
+    base["algorithm"]["mirror_loss_coef"] = 1.0
+    expected = r"\[algorithm\] mirror_loss_coef = 1.0 .* \[run\] symmetry is false; set symmetry to true or"
+    with pytest.raises(polypod.ConfigError, match=expected):
+        config.parse(base, "test")
+    for symmetry in (True, "alternate"):
+        made = config.parse({**base, "run": base["run"] | {"symmetry": symmetry}}, "test")
+        assert made.native_options()["algorithm"]["mirror_loss_coef"] == 1.0
+
+
 def test_the_learners_device_decides_mixed_precision(monkeypatch):
     asked = []
     monkeypatch.setattr(session, "_device", lambda *_: "cuda:0")

@@ -22,7 +22,7 @@ impl Plain for i32 {}
 impl Plain for u32 {}
 impl Plain for Line {}
 impl Plain for Part {}
-impl<T: Plain> Plain for [T; 4] {}
+impl<T: Plain> Plain for [T; 5] {}
 impl Plain for [f64; WIDTH] {}
 
 /// A structure of arguments, whose default is a job without blocks.

@@ -299,7 +299,7 @@ impl Plan {
             sample: room.place::<i32>(rows),
             robot: room.place::<i32>(rows),
             inverse: room.place::<Line>(self.robots * width),
-            scalars: room.place::<[f32; 4]>(self.robots),
+            scalars: room.place::<[f32; 5]>(self.robots),
             start: room.place::<Line>(self.parts * width),
             terms: room.place::<Line>(rows * width),
             surrogate: room.place::<f32>(rows),
