@@ -12,7 +12,8 @@ use crate::robot::Side;
 const SHARE: f64 = 0.1;
 /// Largest share of the base's mass that randomisation removes.
 const HALF: f64 = 0.5;
-/// Mass that randomisation leaves of a base, kg: what a simulation asks for, and more than rounding.
+/// Mass that randomisation leaves of a base, kg: what a simulation asks for, and more than
+/// rounding.
 const LEAST_BASE: f64 = 0.012;
 
 pub(super) fn write(findings: &Findings<'_>) -> String {
