@@ -269,7 +269,7 @@ def mix(recipe: Recipe, stage: Stage, out: Path) -> str:
             sum_of = sum(share * state[key].double() for share, state in zip(shares, states, strict=True))
             weights[key] = sum_of.to(torch.promote_types(first.dtype, torch.float32))
     (out / stage.name).mkdir(exist_ok=True)
-    manifest = {**run_dir.read_manifest(files[0], as_begun=True), "checkpoints": {}}
+    manifest = {**run_dir.read_manifest(files[0]), "checkpoints": {}}
     (out / stage.name / run_dir.MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
     kept = {"actor_state_dict": weights, "iter": 0, "infos": {}}
     run_dir.save_checkpoint(out / stage.name / "model.pt", lambda file: torch.save(kept, file))

@@ -15,6 +15,8 @@ import numpy.typing as npt
 __version__: str
 EARTH_GRAVITY: float
 """m/s^2, of tasks and simulations that say nothing else."""
+LEAST_BASE_MASS: float
+"""Least mass that randomisation must leave of a base, kg."""
 
 class PolypodError(Exception):
     """The root of every exception that polypod raises on purpose."""

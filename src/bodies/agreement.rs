@@ -2,7 +2,7 @@
 //! range.
 
 use crate::bounds::Shown;
-use crate::config::{ConfigError, JointPositionMode, LoadedRobot};
+use crate::config::{ConfigError, JointPositionMode, LEAST_BASE_MASS, LoadedRobot};
 use crate::robot::{JointKind, Model, Roles, soft_limits};
 
 /// Limits of a joint in the direction of its slot, rad or m.
@@ -145,14 +145,12 @@ fn check_efforts(loaded: &LoadedRobot, model: &Model, roles: &Roles) -> Result<(
 }
 
 fn check_base(loaded: &LoadedRobot, model: &Model) -> Result<(), ConfigError> {
-    /// Least mass that a base must keep, kg.
-    const LEAST: f64 = 0.01;
     let (config, mass) = (&loaded.config, model.links.first().map_or(0.0, |base| base.mass));
     let lightest = mass * config.variation.base_mass[0].min(1.0);
     let offset = config.randomization.base_mass_offset[0];
-    if lightest + offset < LEAST {
+    if lightest + offset < LEAST_BASE_MASS {
         let problem = format!("{} kg is more than the base has, which weighs {lightest:.3} kg at least", Shown(offset));
-        let remedy = format!("write a lower end above {:.3}", LEAST - lightest);
+        let remedy = format!("write a lower end above {:.3}", LEAST_BASE_MASS - lightest);
         return Err(invalid(loaded, "randomization.base_mass_offset".into(), problem, &remedy));
     }
     Ok(())

@@ -26,7 +26,9 @@ pub use library::{Explained, Library, LoadedRobot, LoadedTask, NetworkFile, PATH
 pub use names::{RobotEntry, TaskEntry, TrainEntry};
 pub use overrides::apply as apply_override;
 pub use parse::parse_params;
-pub use randomization::{BaseComOffset, Distribution, Draw, Operation, RandomizationConfig, VariationConfig};
+pub use randomization::{
+    BaseComOffset, Distribution, Draw, LEAST_BASE_MASS, Operation, RandomizationConfig, VariationConfig,
+};
 pub use robot::{
     ActuatorConfig, ActuatorModel, BodiesConfig, CommandLimitsConfig, InputOrder, JointPositionMode,
     JointPositionReset, RangeConfig, ResetConfig, RobotConfig, VelocityLimitsConfig,

@@ -8,6 +8,9 @@ use super::quantities::{
 use super::values;
 use crate::bounds::Shown;
 
+/// Least mass that randomisation must leave of a base, kg.
+pub const LEAST_BASE_MASS: f64 = 0.01;
+
 /// Ranges of a robot's randomisation; a task's `[events]` switches each on.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 use toml::Value;
 
 use super::{Drafted, Findings, GRAVITY, round};
-use crate::config::matches;
+use crate::config::{LEAST_BASE_MASS, matches};
 use crate::robot::Side;
 
 /// Share of weight and mass that is randomised.
@@ -14,7 +14,7 @@ const SHARE: f64 = 0.1;
 const HALF: f64 = 0.5;
 /// Mass that randomisation leaves of a base, kg: what a simulation asks for, and more than
 /// rounding.
-const LEAST_BASE: f64 = 0.012;
+const LEAST_BASE: f64 = 1.2 * LEAST_BASE_MASS;
 
 pub(super) fn write(findings: &Findings<'_>) -> String {
     let mut out = String::new();

@@ -115,9 +115,9 @@ pub struct Algorithm {
     pub desired_kl: Option<f64>,
     /// Scale the advantages of each mini-batch separately, instead of those of all samples.
     pub normalize_advantage_per_mini_batch: bool,
-    /// Weight of the mirror loss: of the mean, over mirror images and a robot's actions, of the
-    /// squared difference between the policy's mean and the mirrored mean of the policy that
-    /// collected the samples.
+    /// Weight of the mirror loss: the squared difference between the policy's mean at an image and
+    /// the mirrored mean of the policy that collected the sample. It is averaged over images and a
+    /// robot's actions.
     #[serde(default)]
     pub mirror_loss_coef: f32,
 }

@@ -25,7 +25,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use exceptions::{guarded, to_python, unsigned, value_error, whole};
-use polypod::config::{ConfigError, EARTH_GRAVITY, Explained, Library};
+use polypod::config::{ConfigError, EARTH_GRAVITY, Explained, LEAST_BASE_MASS, Library};
 use polypod::draft::{DraftOptions, draft};
 use polypod::dynamics::lanes::Simd;
 use polypod::engine::{describe_card, search_packages};
@@ -304,6 +304,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     search_packages(module.py().import("sys")?.getattr("path")?.extract().unwrap_or_default());
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add("EARTH_GRAVITY", EARTH_GRAVITY)?;
+    module.add("LEAST_BASE_MASS", LEAST_BASE_MASS)?;
     exceptions::register(module)?;
     module.add_class::<vec_sim::VecSim>()?;
     module.add_class::<device_array::DeviceArray>()?;

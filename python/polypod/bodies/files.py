@@ -8,7 +8,7 @@ from polypod.bodies.parts import Body, Link
 
 GRAVITY = _core.EARTH_GRAVITY
 """Gravity, m/s^2."""
-LEAST_BASE = 0.011
+LEAST_BASE = 1.1 * _core.LEAST_BASE_MASS
 """Mass that randomisation leaves of a base, kg: what a simulation asks for, and a tenth more."""
 
 

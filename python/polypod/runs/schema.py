@@ -112,7 +112,7 @@ class AlgorithmConfig:
     """Weight of the mirror loss, which leads the policy back to symmetry; needs `[run] symmetry`.
 
     The loss is the squared difference between the policy's mean at a mirror image and the mirrored
-    mean of the policy that collected the sample, averaged over images and a robot's actions.
+    mean of the policy that collected the sample. It is averaged over images and a robot's actions.
     rsl_rl's `mirror_loss_coeff` mirrors the mean of the policy that learns instead."""
 
 

@@ -110,15 +110,14 @@ class Runner(OnPolicyRunner):
         check_groups(env, config.observed_groups)
         cfg = {**config.rsl_rl_cfg(env.unwrapped.sim), **self.storage}
         self._distils = config.distillation is not None
-        symmetry: dict[str, Any] = {}
+        images: dict[str, Any] = {}
         if cfg["symmetry"]:
-            symmetry = {"data_augmentation_func": Mirror(env, device).augment, "use_data_augmentation": True}
-            cfg = {**cfg, "algorithm": {**cfg["algorithm"], "symmetry_cfg": symmetry}}
+            images = {"data_augmentation_func": Mirror(env, device).augment, "use_data_augmentation": True}
+            cfg = {**cfg, "algorithm": {**cfg["algorithm"], "symmetry_cfg": dict(images)}}
         with contextlib.redirect_stdout(io.StringIO()):  # rsl_rl prints its networks
             super().__init__(env, cfg, log_dir=str(run), device=device)
-        if symmetry and (weight := config.algorithm.mirror_loss_coef):
-            loss = {"use_mirror_loss": True, "mirror_loss_coeff": weight}
-            self.alg.symmetry = MirrorLoss(**{**symmetry, "env": env, **loss})
+        if images and (weight := config.algorithm.mirror_loss_coef):
+            self.alg.symmetry = MirrorLoss(env, **images, use_mirror_loss=True, mirror_loss_coeff=weight)
         sim = env.unwrapped.sim
         self.logger = TrainingLogger(
             log_dir=str(run),

@@ -3,6 +3,7 @@
 The same seed gives the same bodies.
 """
 
+import dataclasses
 import hashlib
 import json
 from pathlib import Path
@@ -64,6 +65,17 @@ def test_a_base_of_some_grams_keeps_what_a_simulation_asks_for(tmp_path):
     (tmp_path / "assets" / "robots" / "light").mkdir(parents=True)
     (tmp_path / "assets" / "robots" / "light" / "robot.urdf").write_text(bodies.urdf(body))
     (tmp_path / "light.toml").write_text(bodies.toml(body, 112))
+    polypod.make("velocity_flat_two_legs", 1, robots=[str(tmp_path / "light.toml")])
+
+
+@pytest.mark.parametrize("grams", [12, 15, 20, 40])
+def test_a_draft_of_a_light_base_loads(cli, grams, tmp_path):
+    body = bodies.draw("humanoid", "light", np.random.default_rng([112, 66]), wide=True)
+    base = dataclasses.replace(body.links[0], mass=0.001 * grams)
+    light = dataclasses.replace(body, links=[base, *body.links[1:]])
+    (tmp_path / "robot.urdf").write_text(bodies.urdf(light))
+    done = cli("robot", "new", "robot.urdf", "--out", "light.toml")
+    assert done.returncode == 0, done.stderr
     polypod.make("velocity_flat_two_legs", 1, robots=[str(tmp_path / "light.toml")])
 
 
